@@ -1,0 +1,65 @@
+"""Hard shadows from one depth map (Williams 1978; Segal et al. 1992), with every common bias.
+
+The scene is drawn once from the light into a map of linear depth; a receiver is in shadow where the texel it falls into holds
+something nearer to the light: shadow iff z > SM + b (Schwaerzler 2009, section 2.3.1; Stingl 2011, section 2.1). Points outside
+the map are lit. Soft lights are reduced to their centre.
+
+Deviations: depth is linear under every projection, so a constant bias means the same length everywhere; ``slope`` uses the
+exact gradient of the receiver's plane instead of screen-space differences.
+Known artefacts: perspective aliasing (jagged edges near the eye), projection aliasing where N.L is near 0, moire acne with
+``none``, a gap of b / tan(elevation) between caster and shadow with a large ``constant``, leaks through open and thin meshes
+with the back-face kinds.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from algorithms.technique import Limit, MapParams, Technique
+from wkernels.frame import Session as Frame
+from wkernels.gbuffer import GBuffer, is_back_lit
+from wkernels.geometry import RECEIVES
+from wkernels.light_map import Bias, LightMap, compare_nearest, locate_receiver, to_light
+
+
+@wp.kernel
+def compare_depth(first: int, gbuffer: GBuffer, light_map: LightMap, bias: Bias, visibility_out: wp.array2d(dtype=float)):
+    """One depth comparison per pixel."""
+    row, x = wp.tid()
+    y = first + row
+    visible = float(1.0)
+    if (gbuffer.flags[y, x] & RECEIVES) != 0:
+        position_ws = gbuffer.position_ws[y, x]
+        if is_back_lit(gbuffer, y, x, to_light(light_map.light_ws, position_ws)):
+            visible = 0.0
+        else:
+            receiver = locate_receiver(light_map, bias, position_ws, gbuffer.normal_ws[y, x])
+            if receiver.layer >= 0:
+                visible = compare_nearest(light_map, receiver)
+    visibility_out[y, x] = visible
+
+
+class ShadowMap(Technique):
+    """One map, one comparison a pixel."""
+
+    name = "shadow_map"
+    family = "hard"
+    paper = ("williams1978", "schwaerzler2009", "stingl2011")
+    bias_sign = "none"
+    limits = (
+        Limit(equals="ray_cast_point_shadow", params={"resolution": 4096}, tolerance=1e-6, flips=0.02),
+        Limit(equals="multi_shadow_map", other_params={"samples": 1}, light_scale=0.0),
+    )
+
+    class Params(MapParams):
+        """Those of every map technique."""
+
+    def render(self, frame: Frame) -> wp.array:
+        gbuffer = frame.gbuffer()
+        visibility = frame.visibility_buffer(gbuffer)
+        if frame.nothing_casts(visibility):
+            return visibility
+        light_map = frame.light_map(self.params.resolution, cull=self.params.cull)
+        with frame.timed("compare depth"):
+            frame.launch(compare_depth, visibility.shape, [gbuffer, light_map, self.params.device_bias], [visibility])
+        return visibility

@@ -1,0 +1,187 @@
+"""The plugin table: every technique and projection, found by scanning folders, entry points and named files."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.metadata
+import importlib.util
+import inspect
+import re
+import sys
+import traceback
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from types import ModuleType
+
+from algorithms.technique import ALL_LIGHTS, Technique
+from wkernels.errors import InputError, nearest
+
+ENTRY_POINTS = "wkernels.algorithms"
+FAMILIES = (
+    "hard",
+    "filtering",
+    "occluder_search",
+    "backprojection",
+    "light_sampling",
+    "volumes",
+    "temporal",
+    "reference",
+)
+ROOT = Path(__file__).parent
+
+
+def load_all(files: Sequence[Path] = ()) -> dict[str, type[Technique]]:
+    """Every technique by name, sorted.
+
+    Args:
+        files: Further plugin files, as given by ``--plugin``.
+
+    Raises:
+        InputError: A file fails to import, holds no technique or several, is named unlike its technique, declares
+            something wrong, or takes a name that exists already. The message names the file.
+    """
+    table: dict[str, type[Technique]] = {}
+    origin: dict[str, Path] = {}
+    for module, path in _modules(files):
+        technique = _technique_of(module, path)
+        if technique.name in table:
+            raise InputError(f"technique '{technique.name}' exists already, in {origin[technique.name]}", file=path)
+        table[technique.name], origin[technique.name] = technique, path
+    return dict(sorted(table.items()))
+
+
+def find(name: str, files: Sequence[Path] = ()) -> type[Technique]:
+    """One technique; loads only its file where the name is one of ours.
+
+    Raises:
+        InputError: Unknown name.
+    """
+    if not files:
+        for path in _own_files():
+            if path.stem == name:
+                return _technique_of(_import_own(path), path)
+    table = load_all(files)
+    if name not in table:
+        raise InputError(f"unknown technique '{name}'.{nearest(name, table)}")
+    return table[name]
+
+
+def file_of(technique: type[Technique]) -> Path:
+    """The file that a technique lives in."""
+    return Path(inspect.getfile(technique))
+
+
+def _own_files() -> list[Path]:
+    return [path for family in FAMILIES for path in sorted((ROOT / family).glob("*.py")) if path.stem != "__init__"]
+
+
+def _modules(files: Iterable[Path]) -> Iterable[tuple[ModuleType, Path]]:
+    for path in _own_files():
+        yield _import_own(path), path
+    for entry in sorted(importlib.metadata.entry_points(group=ENTRY_POINTS), key=lambda e: e.name):
+        try:
+            loaded = entry.load()
+        except Exception as error:
+            raise InputError(f"entry point '{entry.name}' of {ENTRY_POINTS} cannot be loaded: {error}") from error
+        module = loaded if isinstance(loaded, ModuleType) else sys.modules[loaded.__module__]
+        yield module, Path(module.__file__ or entry.value)
+    for path in files:
+        yield _import_file(Path(path)), Path(path)
+
+
+def _import_own(path: Path) -> ModuleType:
+    try:
+        return importlib.import_module(f"algorithms.{path.parent.name}.{path.stem}")
+    except InputError:
+        raise
+    except Exception as error:
+        raise _import_failure(path, error) from error
+
+
+def _import_file(path: Path) -> ModuleType:
+    if not path.is_file():
+        raise InputError("plugin file does not exist", file=path)
+    if path.suffix != ".py":
+        raise InputError("a plugin is a Python file (.py)", file=path)
+    name = f"wkernels_plugin_{path.stem}"
+    known = sys.modules.get(name)
+    if known is not None and known.__file__ and Path(known.__file__) == path.resolve():
+        return known
+    spec = importlib.util.spec_from_file_location(name, path.resolve())
+    if spec is None or spec.loader is None:
+        raise InputError("this file cannot be imported", file=path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # Warp looks a kernel's module up here
+    try:
+        spec.loader.exec_module(module)
+    except BaseException as error:
+        del sys.modules[name]
+        if isinstance(error, Exception):
+            raise _import_failure(path, error) from error
+        raise
+    return module
+
+
+def _import_failure(path: Path, error: Exception) -> InputError:
+    """The last place inside the plugin that the failed import passed through."""
+    line = error.lineno if isinstance(error, SyntaxError) else None
+    for frame in traceback.extract_tb(error.__traceback__):
+        if Path(frame.filename) == path.resolve():
+            line = frame.lineno
+    return InputError(f"cannot be imported: {type(error).__name__}: {error}", file=path, line=line)
+
+
+def _technique_of(module: ModuleType, path: Path) -> type[Technique]:
+    found = [
+        value
+        for value in vars(module).values()
+        if inspect.isclass(value) and issubclass(value, Technique) and value.__module__ == module.__name__
+    ]
+    if len(found) != 1:
+        names = ", ".join(cls.__name__ for cls in found) or "none"
+        raise InputError(f"a plugin file holds exactly one Technique, this one holds {len(found)} ({names})", file=path)
+    technique = found[0]
+    _check_declarations(technique, path)
+    return technique
+
+
+def _check_declarations(technique: type[Technique], path: Path) -> None:
+    line = _line_of_class(path, technique.__name__)
+
+    def wrong(message: str) -> InputError:
+        return InputError(f"{technique.__name__}: {message}", file=path, line=line)
+
+    for attribute in ("name", "family", "paper", "bias_sign"):
+        if not hasattr(technique, attribute):
+            raise wrong(f"declares no `{attribute}`")
+    if technique.name != path.stem:
+        raise wrong(f"is named '{technique.name}' but its file is {path.name}; both must be the same")
+    camel = "".join(part.capitalize() for part in technique.name.split("_"))
+    if technique.__name__ != camel or not re.fullmatch(r"[a-z][a-z0-9_]*", technique.name):
+        raise wrong(f"the class of '{technique.name}' must be called {camel}")
+    if technique.family not in FAMILIES:
+        raise wrong(f"unknown family '{technique.family}'.{nearest(technique.family, FAMILIES)}")
+    if isinstance(technique.paper, str) or not all(isinstance(key, str) for key in technique.paper):
+        raise wrong("`paper` is a tuple of keys of references.bib")
+    if technique.bias_sign not in ("darker", "lighter", "none"):
+        raise wrong(f"`bias_sign` is 'darker', 'lighter' or 'none', not {technique.bias_sign!r}")
+    if unknown := technique.needs.lights - ALL_LIGHTS:
+        raise wrong(f"needs an unknown light kind '{min(unknown)}'.{nearest(min(unknown), ALL_LIGHTS)}")
+    for name, item in technique.Params.model_fields.items():
+        if not item.description or not isinstance(item.json_schema_extra, dict) or "unit" not in item.json_schema_extra:
+            raise wrong(f"parameter '{name}' must be made with `setting(default, text, unit=...)`")
+        if item.is_required():
+            raise wrong(f"parameter '{name}' has no default")
+    if not technique.documentation():
+        raise wrong("its file has no docstring")
+    if inspect.isabstract(technique):
+        raise wrong("does not implement `render`")
+
+
+def _line_of_class(path: Path, name: str) -> int | None:
+    try:
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+    except (OSError, SyntaxError, UnicodeDecodeError):
+        return None
+    return next((node.lineno for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name), None)

@@ -1,0 +1,142 @@
+"""What a technique is: a declared name, needs, parameters and limits, and one ``render``."""
+
+from __future__ import annotations
+
+import sys
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
+
+import warp as wp
+from pydantic import BaseModel, ConfigDict, Field
+
+from wkernels.frame import Session as Frame
+from wkernels.raster import CULL_FRONT, CULL_NONE
+from wkernels.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL, BIAS_SLOPE, Bias
+
+ALL_LIGHTS = frozenset({"point", "directional", "rectangle", "disc", "sphere", "linear", "polygon"})
+
+BiasKind = Literal["none", "constant", "slope", "back_face", "slope_back_face", "normal"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Needs:
+    """What a scene must offer.
+
+    Attributes:
+        lights: Light kinds the technique is defined for.
+        area: Whether the light must have an area (a point, or a sun without an angle, is refused).
+        closed_meshes: Whether casters must be closed 2-manifolds.
+        planar_receiver: Whether receivers must be planar.
+        history: Whether results depend on earlier frames.
+    """
+
+    lights: frozenset[str] = ALL_LIGHTS
+    area: bool = False
+    closed_meshes: bool = False
+    planar_receiver: bool = False
+    history: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """A case in which the technique must give what another one gives.
+
+    Attributes:
+        equals: Name of the other technique.
+        params: This technique's parameters in the limit.
+        other_params: The other one's.
+        light_scale: Factor on the light's size (0: the light shrinks to its centre).
+        frames: Frames rendered of a still scene.
+        tolerance: Largest difference of visibility away from shadow edges.
+        flips: Share of pixels that may differ by more, along edges.
+    """
+
+    equals: str
+    params: dict[str, Any] = field(default_factory=dict)
+    other_params: dict[str, Any] = field(default_factory=dict)
+    light_scale: float = 1.0
+    frames: int = 1
+    tolerance: float = 1e-5
+    flips: float = 0.0
+
+
+class Params(BaseModel):
+    """Base of all parameter models: unknown names are refused, numbers are finite, values do not change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def setting(default: Any, text: str, *, unit: str, source: str = "", **bounds: Any) -> Any:
+    """A documented parameter.
+
+    Args:
+        default: Its only default anywhere.
+        text: What it does, one line.
+        unit: Its unit.
+        source: Where the default comes from.
+        **bounds: pydantic bounds (``ge``, ``le``, ``gt``, ``lt``).
+    """
+    return Field(default, description=text, json_schema_extra={"unit": unit, "source": source}, **bounds)
+
+
+class MapParams(Params):
+    """Parameters of every technique that reads a light depth map."""
+
+    resolution: int = setting(1024, "map texels per side", unit="texels", source="Scherzer 2009, sec. 4", ge=1, le=8192)
+    bias: BiasKind = setting("slope", "what keeps a surface from shadowing itself", unit="kind", source="Stingl 2011, sec. 2.2.1")
+    bias_constant: float = setting(
+        1.0, "constant bias (constant) or offset along the normal (normal)", unit="texel footprints", ge=0.0, le=1000.0
+    )
+    bias_slope: float = setting(
+        1.1, "multiple of the least bias that one texel needs on the receiver's plane", unit="1", ge=0.0, le=1000.0
+    )
+
+    @property
+    def device_bias(self) -> Bias:
+        """The kernels' form of the bias parameters."""
+        out = Bias()
+        kinds = {"constant": BIAS_CONSTANT, "slope": BIAS_SLOPE, "slope_back_face": BIAS_SLOPE, "normal": BIAS_NORMAL}
+        out.kind = kinds.get(self.bias, BIAS_NONE)
+        out.constant, out.slope = self.bias_constant, self.bias_slope
+        return out
+
+    @property
+    def cull(self) -> int:
+        """Faces that the map leaves out: those turned to the light, for the back-face biases."""
+        return CULL_FRONT if "back_face" in self.bias else CULL_NONE
+
+
+class Technique(ABC):
+    """A shadow technique; subclasses are final and live alone in their file.
+
+    Attributes:
+        name: File name = YAML key = id in the catalogue.
+        family: Folder.
+        paper: Keys in references.bib.
+        needs: What a scene must offer.
+        bias_sign: Sign of the mean error by the method's nature: ``darker``, ``lighter`` or ``none``.
+        limits: What it must equal in the limit; tested.
+        expected_failures: Conformance checks that the published method cannot pass, each with its reason.
+    """
+
+    name: ClassVar[str]
+    family: ClassVar[str]
+    paper: ClassVar[tuple[str, ...]]
+    needs: ClassVar[Needs] = Needs()
+    bias_sign: ClassVar[Literal["darker", "lighter", "none"]]
+    limits: ClassVar[tuple[Limit, ...]] = ()
+    expected_failures: ClassVar[dict[str, str]] = {}
+    Params: ClassVar[type[Params]] = Params
+
+    def __init__(self, params: Params | None = None) -> None:
+        self.params: Any = params if params is not None else self.Params()
+
+    @abstractmethod
+    def render(self, frame: Frame) -> wp.array:
+        """Visibility of the frame's receivers, float32, shape of the G-buffer that was asked for."""
+
+    @classmethod
+    def documentation(cls) -> str:
+        """The docstring of the technique's file."""
+        return (sys.modules[cls.__module__].__doc__ or "").strip()

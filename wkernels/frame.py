@@ -1,0 +1,446 @@
+"""One technique's way through the frames of a walkthrough: products built on request, history, timing, what is left out.
+
+A technique's ``render`` gets the session and *pulls* what it needs: the G-buffer, light depth maps, the casters' ray structure,
+light samples, history buffers. A product is built on first request, timed under its own name, and kept until one of its
+inputs (geometry, camera, light sample) changes. What nobody asks for is never built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import warp as wp
+
+from wkernels import gbuffer as gb
+from wkernels.geometry import RECEIVES, Bounds, Geometry
+from wkernels.launch import launch
+from wkernels.light_views import perspective_aliasing, scene_views
+from wkernels.lights import Light
+from wkernels.raster import CULL_NONE, Rasteriser
+from wkernels.rays import LightHull
+from wkernels.sampling import light_set
+from wkernels.shading import shade
+from wkernels.light_map import LightMap, tag_moving
+from wkernels.timing import PassTimer
+from wkernels.views import HostView, View, eye_view
+
+MAP_BUDGET_BYTES = 512 * 2**20  # maps of many light samples are kept for later frames up to this much memory
+G_BUFFER, SHADING = "g-buffer", "shading"
+
+LightViews = Callable[[np.ndarray, Bounds, Bounds, int, HostView], list[HostView]]
+"""A projection: light sample (4,), receivers' box, casters' box, map resolution, eye view -> one view per layer."""
+
+
+class Renders(Protocol):
+    """What a session needs of a technique."""
+
+    def render(self, frame: Session) -> wp.array:
+        """Visibility, float32, of the frame's size or of an overscanned G-buffer's."""
+
+
+@dataclass
+class FrameResult:
+    """What one rendered frame leaves behind.
+
+    Attributes:
+        visibility: float32 (H, W); NaN where no receiver is seen.
+        color: float32 (H, W, 3), linear, for people.
+        standard_error: float32 (H, W) for methods that sample the light, else None.
+        world_position: float32 (H, W, 3), scene units; NaN where nothing is seen.
+        passes: Milliseconds per pass, in order of first use.
+        frame_ms: Everything this technique needed for the frame.
+        shadow_ms: Without G-buffer and shading.
+        left_out: (what, reason, count) of work this frame did not need.
+        m_x_max, m_z_max: Largest perspective aliasing error along the view vector; NaN without a shadow map.
+    """
+
+    visibility: np.ndarray
+    color: np.ndarray
+    standard_error: np.ndarray | None
+    world_position: np.ndarray
+    passes: list[tuple[str, float]]
+    frame_ms: float
+    shadow_ms: float
+    left_out: list[tuple[str, str, int]]
+    m_x_max: float
+    m_z_max: float
+
+
+@dataclass
+class LightSamples:
+    """Points of one light, as the host and the device see them.
+
+    Attributes:
+        host: float64 (n, 4), homogeneous, rebased world.
+        points_ws: vec4 (n,), the same.
+        weights: float (n,), relative radiance, mean about 1.
+        weights_host: float64 (n,), the same.
+    """
+
+    host: np.ndarray
+    points_ws: wp.array
+    weights: wp.array
+    weights_host: np.ndarray
+
+
+@dataclass
+class History:
+    """Two buffers that change places from frame to frame.
+
+    Attributes:
+        previous: What the last frame wrote; meaningless unless ``valid``.
+        current: For this frame to write, completely.
+        valid: Whether there was a last frame.
+        previous_view: The eye's view of that frame, at the buffer's size.
+    """
+
+    previous: Any
+    current: Any
+    valid: bool = False
+    previous_view: View | None = None
+
+
+@dataclass
+class _Product:
+    value: Any
+    stamp: Hashable
+    visit: int
+
+
+class Session:
+    """Products, history and timers of one technique label; the geometry is shared between labels.
+
+    Args:
+        geometry: Scene triangles; the session moves it to its frame in ``begin``.
+        width, height: Frame size in pixels, at least 1.
+        light_index: Which light of the scene.
+        device: Warp device, the geometry's.
+        threads: CPU threads; None for all. Never changes a result.
+        seed: Shift of all sample sets; 1 is the plain, unshifted set.
+        projection: Where light depth maps look; ``scene_views`` unless given.
+        skips: Whether work that the scene cannot need may be left out.
+    """
+
+    def __init__(
+        self,
+        geometry: Geometry,
+        *,
+        width: int,
+        height: int,
+        light_index: int = 0,
+        device: str = "cpu",
+        threads: int | None = None,
+        seed: int = 1,
+        projection: LightViews | None = None,
+        skips: bool = True,
+    ) -> None:
+        self.geometry = geometry
+        self.width, self.height = width, height
+        self.device, self.threads, self.seed, self.skips = device, threads, seed, skips
+        self.light: Light = geometry.scene.lights[light_index].moved(-geometry.origin_ws)
+        self.projection: LightViews = projection or _fit_scene
+        self.index = 0  # frame index in the scene's path
+        self.count = 0  # frames since the last reset: how often history has been committed
+        self.standard_error: wp.array | None = None  # a technique may set it in render
+        self._rasteriser = Rasteriser(device, threads)
+        self._timer = PassTimer(device)
+        self._products: dict[Hashable, _Product] = {}
+        self._buffers: dict[Hashable, wp.array] = {}
+        self._histories: dict[str, History] = {}
+        self._previous_camera: Any = None
+        self._left_out: dict[tuple[str, str], int] = {}
+        self._light_views: tuple[list[HostView], np.ndarray] | None = None
+        self._gbuffers: dict[tuple[int, int], gb.GBuffer] = {}
+        self._visit = 0
+        self._camera: Any = None
+        self.begin(0)
+
+    # ---- frame by frame -------------------------------------------------------------------------------------------------
+
+    def begin(self, frame_index: int) -> None:
+        """Moves camera and geometry to a frame. Again with the same index it forgets what was built for that frame."""
+        if frame_index == self.index:
+            for product in self._products.values():
+                if product.visit == self._visit:
+                    product.stamp = None  # memory stays, content does not
+        else:
+            self._visit += 1
+        self.index = frame_index
+        self.geometry.set_frame(frame_index)
+        self._camera = self.geometry.scene.camera(frame_index)
+
+    def render(self, technique: Renders) -> FrameResult:
+        """Runs one technique on the current frame and reads its results back (reading back is not timed)."""
+        self._left_out.clear()
+        self._light_views = None
+        self._gbuffers.clear()
+        self.standard_error = None
+        self._timer.start()
+        visibility = technique.render(self)
+        gbuffer = self._gbuffers.get(visibility.shape) or self.gbuffer()
+        with self._timer.timed(SHADING):
+            color = self.buffer("color", visibility.shape, wp.vec3)
+            shade(gbuffer, self.geometry.mesh_diffuse, self.light, visibility, color, self.device, self.threads)
+        spent = self._timer.stop()
+        return self._read_back(gbuffer, visibility, color, spent)
+
+    def advance(self) -> None:
+        """Commits the frame: what history buffers hold now is what the next frame finds as ``previous``."""
+        for history in self._histories.values():
+            history.previous, history.current = history.current, history.previous
+            history.valid = True
+        self._previous_camera = self._camera
+        self.count += 1
+        self._visit += 1
+
+    def reset(self) -> None:
+        """Forgets history and products, as before the first frame."""
+        self._products.clear()
+        for history in self._histories.values():
+            history.valid = False
+        self._previous_camera = None
+        self.count = 0
+        self._visit += 1
+
+    # ---- what a technique asks for --------------------------------------------------------------------------------------
+
+    def timed(self, name: str) -> AbstractContextManager[None]:
+        """Charges the block to the pass ``name``."""
+        return self._timer.timed(name)
+
+    def launch(self, kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: list, outputs: list) -> None:
+        """Launches on the session's device and threads; the kernel's first argument is its tile's offset."""
+        launch(kernel, dim, inputs, outputs, device=self.device, threads=self.threads)
+
+    def leave_out(self, what: str, reason: str, count: int = 1) -> bool:
+        """Records that ``what`` is not needed here and returns True; returns False, and records nothing, with skips off."""
+        if self.skips:
+            key = (what, reason)
+            self._left_out[key] = self._left_out.get(key, 0) + count
+        return self.skips
+
+    def buffer(self, name: str, shape: tuple[int, ...], dtype: type) -> wp.array:
+        """Scratch memory that lives as long as the session; its content is whatever was left there."""
+        key = (name, shape, dtype)
+        if key not in self._buffers:
+            self._buffers[key] = wp.zeros(shape, dtype=dtype, device=self.device)
+        return self._buffers[key]
+
+    def visibility_buffer(self, gbuffer: gb.GBuffer) -> wp.array:
+        """The float32 (H, W) array, of a G-buffer's size, that a technique fills and returns."""
+        return self.buffer("visibility", gbuffer.depth.shape, wp.float32)
+
+    def nothing_casts(self, visibility_out: wp.array) -> bool:
+        """Fills ``visibility_out`` with 1 and returns True where the scene has no casters (and skips are on)."""
+        if self.geometry.caster_triangles or not self.leave_out("light depth map and comparisons", "nothing casts"):
+            return False
+        visibility_out.fill_(1.0)
+        return True
+
+    def product(self, name: str, key: Hashable, inputs: Hashable, build: Callable[[Any], Any]) -> Any:
+        """Anything that outlives a frame while its inputs stay the same.
+
+        Args:
+            name: Pass name in the timings.
+            key: Identity of the product within the session.
+            inputs: Everything it depends on, comparable; it is rebuilt when they differ.
+            build: Called with the old value (or None), whose memory it may reuse; returns the new one.
+        """
+        held = self._products.get(key)
+        if held is not None and held.stamp is not None and held.stamp == inputs:
+            if held.visit == self._visit or self.leave_out(name, "its inputs have not changed since it was built"):
+                return held.value
+        with self._timer.timed(name):
+            value = build(held.value if held else None)
+        self._products[key] = _Product(value, inputs, self._visit)
+        return value
+
+    def eye(self, margin: tuple[int, int] = (0, 0)) -> HostView:
+        """The eye's view of this frame, with ``margin`` extra pixels at each side."""
+        return eye_view(self._camera, self.width, self.height, self.geometry.origin_ws, margin)
+
+    def margin(self, overscan: float) -> tuple[int, int]:
+        """Extra pixels at each side for an overscan of, say, 0.05 of the frame's size."""
+        return int(np.ceil(0.5 * overscan * self.width)), int(np.ceil(0.5 * overscan * self.height))
+
+    def gbuffer(self, overscan: float = 0.0) -> gb.GBuffer:
+        """What the eye sees, ``overscan`` (share of width and height) larger than the frame."""
+        margin = self.margin(overscan)
+        view = self.eye(margin)
+
+        def build(old: gb.GBuffer | None) -> gb.GBuffer:
+            out = old or gb.allocate_gbuffer(view.width, view.height, self.device)
+            gb.fill_gbuffer(out, self.geometry, view, self._rasteriser)
+            return out
+
+        inputs = (self.geometry.version, _camera_key(self._camera))
+        out: gb.GBuffer = self.product(G_BUFFER, ("g-buffer", margin), inputs, build)
+        self._gbuffers[out.depth.shape] = out
+        return out
+
+    def light_samples(self, count: int, kind: str = "halton", start: int = 0) -> LightSamples:
+        """``count`` points of the light from sample ``start`` on (rebased world)."""
+
+        def build(old: LightSamples | None) -> LightSamples:
+            u = light_set(kind, count, 3, start, self.seed - 1)
+            host, weights = self.light.sample(u), self.light.weights(u)
+            return LightSamples(
+                host,
+                wp.array(host.astype(np.float32), dtype=wp.vec4, device=self.device),
+                wp.array(weights.astype(np.float32), dtype=float, device=self.device),
+                weights,
+            )
+
+        # the set of a temporal method moves on every frame: one slot per size, so that nothing piles up
+        samples: LightSamples = self.product("light samples", ("samples", kind, count), (start, self.seed), build)
+        return samples
+
+    def casters(self) -> wp.uint64:
+        """Id of the casters' triangles for ray queries; 0 where nothing casts."""
+        if self.geometry.caster_triangles == 0:
+            return wp.uint64(0)
+
+        def build(old: wp.Mesh | None) -> wp.Mesh:
+            if old is None:
+                return wp.Mesh(points=self.geometry.points_ws, indices=self.geometry.caster_indices)
+            old.refit()
+            return old
+
+        mesh: wp.Mesh = self.product("caster ray structure", "casters", self.geometry.version, build)
+        return mesh.id
+
+    def light_hull(self) -> LightHull:
+        """The light's hull for proofs, and how far a ray must reach to leave the scene."""
+        corners = self.light.hull
+        out = LightHull()
+        out.corners = wp.array(corners[:, :3].astype(np.float32), dtype=wp.vec3, device=self.device)
+        out.low, out.high = wp.vec3(*corners[:, :3].min(axis=0)), wp.vec3(*corners[:, :3].max(axis=0))
+        out.is_point = float(corners[0, 3])
+        out.reach = self.reach
+        return out
+
+    @property
+    def reach(self) -> float:
+        """Length of a ray that leaves the scene from anywhere in it."""
+        box = self.geometry.bounds(casters=True, receivers=True)
+        return 1.0 if box.empty else 1.01 * float(np.linalg.norm(box.high - box.low)) + 1e-6
+
+    def light_map(
+        self,
+        resolution: int,
+        light_ws: np.ndarray | None = None,
+        *,
+        slot: Hashable = "centre",
+        cull: int = CULL_NONE,
+        tag_moving_casters: bool = False,
+    ) -> LightMap:
+        """The light's linear depth map, seen from one sample of the light.
+
+        Args:
+            resolution: Texels per side, 1 to 8192.
+            light_ws: Light sample (4,), rebased world; the light's centre unless given.
+            slot: Maps that must live side by side need different slots.
+            cull: Which faces are left out, as seen from the light.
+            tag_moving_casters: Negative depth where the nearest caster moves.
+        """
+        sample = self.light.centre if light_ws is None else light_ws
+        receivers = self.geometry.bounds(receivers=True)
+        casters = self.geometry.bounds(casters=True)
+        if receivers.empty:
+            receivers = casters
+        views = self.projection(sample, receivers, casters, resolution, self.eye())
+        if light_ws is None or self._light_views is None:
+            self._light_views = (views, sample)
+        held_bytes = sum(p.value.depth.size * 4 for k, p in self._products.items() if isinstance(k, tuple) and k[0] == "map")
+        key: Hashable = ("map", slot, resolution, cull, tag_moving_casters)
+        if key not in self._products and held_bytes + 4 * resolution**2 * len(views) > MAP_BUDGET_BYTES:
+            key = ("map", "shared", resolution, cull, tag_moving_casters)
+        inputs = (self.geometry.version, np.stack([view.ws_to_ss for view in views]).tobytes())
+
+        def build(old: LightMap | None) -> LightMap:
+            return self._draw_map(old, views, sample, resolution, cull, tag_moving_casters)
+
+        out: LightMap = self.product("light depth map", key, inputs, build)
+        return out
+
+    def history(self, name: str, allocate: Callable[[], Any], margin: tuple[int, int] = (0, 0)) -> History:
+        """Two buffers made by ``allocate``, and the eye's view when the previous one was written."""
+        if name not in self._histories:
+            self._histories[name] = History(allocate(), allocate())
+        out = self._histories[name]
+        out.previous_view = None
+        if out.valid and self._previous_camera is not None:
+            view = eye_view(self._previous_camera, self.width, self.height, self.geometry.origin_ws, margin)
+            out.previous_view = view.to_device()
+        return out
+
+    # ---- inside ---------------------------------------------------------------------------------------------------------
+
+    def _draw_map(
+        self, old: LightMap | None, views: list[HostView], sample: np.ndarray, resolution: int, cull: int, tagged: bool
+    ) -> LightMap:
+        layers = len(views)
+        out = LightMap()
+        if old is not None and old.layers == layers:
+            out.depth = old.depth
+        else:
+            out.depth = wp.empty((layers, resolution, resolution), dtype=float, device=self.device)
+        matrices = np.stack([view.ws_to_ss for view in views]).astype(np.float32)
+        out.ws_to_ls = wp.array(matrices, dtype=wp.mat44, device=self.device)
+        out.right_ws = wp.array(np.stack([v.right_ws for v in views]).astype(np.float32), dtype=wp.vec3, device=self.device)
+        out.up_ws = wp.array(np.stack([v.up_ws for v in views]).astype(np.float32), dtype=wp.vec3, device=self.device)
+        out.layers, out.resolution = layers, resolution
+        out.light_ws, out.near = wp.vec4(*sample), views[0].near
+        triangle = self.buffer("map triangles", (resolution, resolution), wp.int32) if tagged else None
+        for layer, view in enumerate(views):
+            points, indices = self.geometry.points_ws, self.geometry.caster_indices
+            self._rasteriser.draw(points, indices, view.to_device(), out.depth[layer], triangle, cull)
+            if triangle is not None:
+                inputs = [triangle, self.geometry.triangle_mesh, self.geometry.mesh_flags, layer]
+                self.launch(tag_moving, triangle.shape, inputs, [out.depth])
+        return out
+
+    def _read_back(self, gbuffer: gb.GBuffer, visibility: wp.array, color: wp.array, spent: dict[str, float]) -> FrameResult:
+        rows = slice((visibility.shape[0] - self.height) // 2, (visibility.shape[0] + self.height) // 2)
+        cols = slice((visibility.shape[1] - self.width) // 2, (visibility.shape[1] + self.width) // 2)
+        flags = gbuffer.flags.numpy()[rows, cols]
+        seen = gbuffer.mesh.numpy()[rows, cols] >= 0
+        lit = visibility.numpy()[rows, cols].copy()
+        lit[(flags & RECEIVES) == 0] = np.nan
+        position = gbuffer.position_ws.numpy()[rows, cols] + self.geometry.origin_ws
+        position[~seen] = np.nan
+        error = None
+        if self.standard_error is not None:
+            error = self.standard_error.numpy()[rows, cols].copy()
+            error[np.isnan(lit)] = np.nan
+        m_x = m_z = np.nan
+        if self._light_views is not None:
+            views, sample = self._light_views
+            _, all_x, all_z = perspective_aliasing(views, sample, self.eye())
+            m_x, m_z = (float(np.nanmax(m)) if np.isfinite(m).any() else np.nan for m in (all_x, all_z))
+        total = sum(spent.values())
+        return FrameResult(
+            visibility=lit,
+            color=color.numpy()[rows, cols].copy(),
+            standard_error=error,
+            world_position=position.astype(np.float32),
+            passes=list(spent.items()),
+            frame_ms=total,
+            shadow_ms=total - spent.get(G_BUFFER, 0.0) - spent.get(SHADING, 0.0),
+            left_out=[(what, reason, count) for (what, reason), count in self._left_out.items()],
+            m_x_max=m_x,
+            m_z_max=m_z,
+        )
+
+
+def _fit_scene(sample: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int, eye: HostView) -> list[HostView]:
+    return scene_views(sample, receivers, casters, resolution)
+
+
+def _camera_key(camera: Any) -> Hashable:
+    numbers = [*camera.eye, *camera.target, *camera.up, camera.fov_deg, camera.near, camera.far]
+    return tuple(float(x) for x in numbers)

@@ -1,0 +1,111 @@
+"""G-buffer: what the eye sees in every pixel, the receiver points that all techniques and the reference share."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from wkernels.geometry import CASTS, Geometry
+from wkernels.launch import launch
+from wkernels.raster import Rasteriser
+from wkernels.views import HostView, View, pixel_along_ws, pixel_base_ws
+
+
+@wp.struct
+class GBuffer:
+    """Per-pixel surface data, arrays of shape (H, W)."""
+
+    view: View
+    depth: wp.array2d(dtype=float)  # linear eye depth; +inf where nothing is seen
+    position_ws: wp.array2d(dtype=wp.vec3)  # rebased world
+    normal_ws: wp.array2d(dtype=wp.vec3)  # geometric, unit, facing the eye
+    mesh: wp.array2d(dtype=int)  # -1 where nothing is seen
+    triangle: wp.array2d(dtype=int)  # -1 where nothing is seen
+    flags: wp.array2d(dtype=int)  # CASTS | RECEIVES | MOVES of the mesh; 0 where nothing is seen
+
+
+@wp.kernel
+def resolve_surface(
+    first: int,
+    view: View,
+    points_ws: wp.array(dtype=wp.vec3),
+    indices: wp.array(dtype=int),
+    triangle_normal_ws: wp.array(dtype=wp.vec3),
+    triangle_mesh: wp.array(dtype=int),
+    mesh_flags: wp.array(dtype=int),
+    gbuffer: GBuffer,
+):
+    """Turns the rasterised triangle of a pixel into exact surface data.
+
+    The position is where the ray of the pixel centre meets the triangle's plane, not the interpolated depth: it carries no
+    snapping and no accumulated rounding, so that a ray cast from it starts on its own triangle.
+    """
+    row, x = wp.tid()
+    y = first + row
+    t = gbuffer.triangle[y, x]
+    if t < 0:
+        gbuffer.mesh[y, x] = -1
+        gbuffer.flags[y, x] = 0
+        gbuffer.position_ws[y, x] = wp.vec3()
+        gbuffer.normal_ws[y, x] = wp.vec3()
+        return
+    base = pixel_base_ws(view, float(x) + 0.5, float(y) + 0.5)
+    along = pixel_along_ws(view, float(x) + 0.5, float(y) + 0.5)
+    normal = triangle_normal_ws[t]
+    depth = gbuffer.depth[y, x]
+    slope = wp.dot(normal, along)
+    if wp.abs(slope) > 1.0e-6 * wp.length(along):
+        exact = wp.dot(normal, points_ws[indices[3 * t]] - base) / slope
+        # seen edge-on the plane says little; the rasterised depth is right to the size of a pixel
+        if wp.abs(exact - depth) < 0.1 * depth and exact > 0.0:
+            depth = exact
+    if slope > 0.0:
+        normal = -normal
+    mesh = triangle_mesh[t]
+    gbuffer.depth[y, x] = depth
+    gbuffer.position_ws[y, x] = base + depth * along
+    gbuffer.normal_ws[y, x] = normal
+    gbuffer.mesh[y, x] = mesh
+    gbuffer.flags[y, x] = mesh_flags[mesh]
+
+
+def allocate_gbuffer(width: int, height: int, device: str) -> GBuffer:
+    """An unfilled G-buffer of ``height`` x ``width`` pixels."""
+    shape = (height, width)
+    out = GBuffer()
+    out.depth = wp.empty(shape, dtype=float, device=device)
+    out.position_ws = wp.empty(shape, dtype=wp.vec3, device=device)
+    out.normal_ws = wp.empty(shape, dtype=wp.vec3, device=device)
+    out.mesh = wp.empty(shape, dtype=int, device=device)
+    out.triangle = wp.empty(shape, dtype=int, device=device)
+    out.flags = wp.empty(shape, dtype=int, device=device)
+    return out
+
+
+def fill_gbuffer(gbuffer: GBuffer, geometry: Geometry, view: HostView, rasteriser: Rasteriser) -> None:
+    """Renders ``geometry`` from ``view`` into ``gbuffer`` (same size)."""
+    gbuffer.view = view.to_device()
+    rasteriser.draw(geometry.points_ws, geometry.indices, gbuffer.view, gbuffer.depth, gbuffer.triangle)
+    launch(
+        resolve_surface,
+        (view.height, view.width),
+        [
+            gbuffer.view,
+            geometry.points_ws,
+            geometry.indices,
+            geometry.triangle_normal_ws,
+            geometry.triangle_mesh,
+            geometry.mesh_flags,
+        ],
+        [gbuffer],
+        device=rasteriser.device,
+        threads=rasteriser.threads,
+    )
+
+
+@wp.func
+def is_back_lit(gbuffer: GBuffer, y: int, x: int, to_light: wp.vec3):
+    """Whether the pixel's own surface hides the light: it casts, and the light is behind the side that is seen.
+
+    Such a pixel needs no lookup and no ray. A surface that does not cast is never hidden by itself.
+    """
+    return (gbuffer.flags[y, x] & CASTS) != 0 and wp.dot(gbuffer.normal_ws[y, x], to_light) <= 0.0

@@ -1,0 +1,149 @@
+"""A scene's triangles on a device, rebased so that float32 keeps its precision anywhere in the world."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from wkernels.launch import launch
+from wkernels.scene import Mesh, Scene
+
+CASTS = wp.constant(1)
+RECEIVES = wp.constant(2)
+MOVES = wp.constant(4)
+
+
+@wp.kernel
+def find_normals(
+    first: int,
+    points_ws: wp.array(dtype=wp.vec3),
+    indices: wp.array(dtype=int),
+    normal_out: wp.array(dtype=wp.vec3),
+):
+    """Unit normal of each triangle, counter-clockwise side; zero where it has no area."""
+    t = first + wp.tid()
+    a = points_ws[indices[3 * t]]
+    normal = wp.cross(points_ws[indices[3 * t + 1]] - a, points_ws[indices[3 * t + 2]] - a)
+    longest = wp.max(wp.max(wp.abs(normal[0]), wp.abs(normal[1])), wp.abs(normal[2]))
+    if longest > 0.0:
+        normal = wp.normalize(normal / longest)  # scaled first: the squared length of tiny triangles underflows
+    normal_out[t] = normal
+
+
+class Bounds:
+    """An axis-aligned box, float64; ``empty`` before anything was added."""
+
+    def __init__(self) -> None:
+        self.low = np.full(3, np.inf)
+        self.high = np.full(3, -np.inf)
+
+    def add(self, points: np.ndarray) -> None:
+        """Extends the box by points, shape (N, 3)."""
+        if len(points):
+            self.low = np.minimum(self.low, points.min(axis=0))
+            self.high = np.maximum(self.high, points.max(axis=0))
+
+    @property
+    def empty(self) -> bool:
+        return bool(np.any(self.low > self.high))
+
+    @property
+    def corners(self) -> np.ndarray:
+        """The eight corners, shape (8, 3)."""
+        return np.array(np.meshgrid(*np.stack([self.low, self.high], axis=1), indexing="ij")).reshape(3, 8).T
+
+
+class Geometry:
+    """All meshes of a scene in one set of arrays, casting meshes first.
+
+    World positions are stored minus ``origin_ws`` (float64, about the middle of the scene), so that world offsets of 1e6
+    cost nothing; ``_ws`` on the device means this rebased world.
+
+    Attributes:
+        points_ws: vec3, shape (V,).
+        indices: int32, shape (3 T,); the first ``3 * caster_triangles`` belong to casting meshes.
+        triangle_normal_ws: vec3, shape (T,), unit.
+        triangle_mesh: int32, shape (T,).
+        mesh_flags: int32, shape (M,): CASTS | RECEIVES | MOVES.
+        mesh_diffuse: vec3, shape (M,).
+        version: Grows whenever a vertex moves.
+    """
+
+    def __init__(self, scene: Scene, device: str = "cpu", threads: int | None = None) -> None:
+        self.scene = scene
+        self.device = device
+        self.threads = threads
+        self.meshes: list[Mesh] = sorted(scene.meshes, key=lambda mesh: not mesh.casts)
+        self.version = 0
+        self._frame: int | None = None
+        placed = [_place(mesh, 0) for mesh in self.meshes]
+        box = Bounds()
+        for vertices in placed:
+            box.add(vertices)
+        self.origin_ws = np.zeros(3) if box.empty else 0.5 * (box.low + box.high)
+        self._placed = [vertices - self.origin_ws for vertices in placed]
+        sizes = [len(mesh.faces) for mesh in self.meshes]
+        starts = np.cumsum([0] + [len(mesh.vertices) for mesh in self.meshes])
+        self._ranges = [slice(a, b) for a, b in zip(starts[:-1], starts[1:], strict=True)]
+        faces = [mesh.faces + start for mesh, start in zip(self.meshes, starts[:-1], strict=True)]
+        flags = [CASTS * mesh.casts + RECEIVES * mesh.receives + MOVES * mesh.moving for mesh in self.meshes]
+        diffuse = np.array([mesh.diffuse for mesh in self.meshes], dtype=np.float32).reshape(-1, 3)
+
+        def upload(parts: list[np.ndarray], dtype: type, kind: str) -> wp.array:
+            joined = np.concatenate(parts) if parts else np.zeros(0)
+            return wp.array(np.ascontiguousarray(joined, dtype=kind), dtype=dtype, device=device)
+
+        self.indices = upload([f.ravel() for f in faces], wp.int32, "int32")
+        self.triangles = sum(sizes)
+        self.caster_triangles = sum(n for n, mesh in zip(sizes, self.meshes, strict=True) if mesh.casts)
+        self.caster_indices = self.indices[: 3 * self.caster_triangles]
+        self.triangle_mesh = upload([np.repeat(np.arange(len(sizes)), sizes)], wp.int32, "int32")
+        self.mesh_flags = wp.array(np.array(flags, dtype=np.int32), dtype=wp.int32, device=device)
+        self.mesh_diffuse = wp.array(diffuse, dtype=wp.vec3, device=device)
+        self.points_ws = upload([p.astype(np.float32).reshape(-1, 3) for p in self._placed], wp.vec3, "float32")
+        self.triangle_normal_ws = wp.zeros(self.triangles, dtype=wp.vec3, device=device)
+        self._update_normals()
+        self.moving = any(mesh.moving for mesh in self.meshes)
+        self.set_frame(0)
+
+    def set_frame(self, frame: int) -> None:
+        """Moves the moving meshes to their poses at ``frame``."""
+        if frame == self._frame:
+            return
+        first, self._frame = self._frame is None, frame
+        moved = False
+        for i, mesh in enumerate(self.meshes):
+            if not mesh.moving:
+                continue
+            self._placed[i] = _place(mesh, frame) - self.origin_ws
+            region = self._ranges[i]
+            part = wp.array(self._placed[i].astype(np.float32), dtype=wp.vec3, device="cpu")
+            wp.copy(self.points_ws, part, dest_offset=region.start, count=len(part))
+            moved = True
+        if moved and not first:
+            self.version += 1
+        if moved:
+            self._update_normals()
+
+    def bounds(self, *, casters: bool = False, receivers: bool = False) -> Bounds:
+        """Box of the casting or receiving meshes (or both) at the current frame, rebased world."""
+        box = Bounds()
+        for mesh, vertices in zip(self.meshes, self._placed, strict=True):
+            if (casters and mesh.casts) or (receivers and mesh.receives):
+                box.add(vertices[np.isfinite(vertices).all(axis=1)])
+        return box
+
+    def _update_normals(self) -> None:
+        launch(
+            find_normals,
+            self.triangles,
+            [self.points_ws, self.indices],
+            [self.triangle_normal_ws],
+            device=self.device,
+            threads=self.threads,
+        )
+
+
+def _place(mesh: Mesh, frame: int) -> np.ndarray:
+    pose = mesh.object_to_ws(frame)
+    return np.asarray(mesh.vertices, dtype=np.float64) @ pose[:3, :3].T + pose[:3, 3]

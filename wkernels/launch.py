@@ -1,0 +1,129 @@
+"""Launches: one kernel spread in tiles over CPU threads, or one plain launch on CUDA.
+
+Warp runs a CPU launch on the calling thread and releases the GIL while it does, so threads that each launch a part of the
+grid scale almost linearly. Every kernel of this project takes ``first: int`` as its first argument, the offset of its tile
+along the first launch axis, and must write only what its own grid cells own: then the result cannot depend on the number
+of threads.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import os
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from queue import SimpleQueue
+
+import warp as wp
+
+TILES_PER_THREAD = 6  # enough for uneven tiles to even out, few enough that the cost of launching stays small
+SERIAL_CELLS = 2048  # smaller grids run on the calling thread: a hand-off costs more than they do
+
+
+def default_threads() -> int:
+    """Threads used when none are asked for: ``WKERNELS_THREADS`` or the CPUs this process may run on."""
+    wanted = os.environ.get("WKERNELS_THREADS", "")
+    if wanted.isdigit() and int(wanted) > 0:
+        return int(wanted)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class _Team:
+    """Worker threads that live as long as the process; the calling thread works too."""
+
+    def __init__(self) -> None:
+        self._inboxes: list[SimpleQueue] = []
+        self._done: SimpleQueue = SimpleQueue()
+        self._busy = threading.Lock()
+
+    def _grow(self, workers: int) -> None:
+        while len(self._inboxes) < workers:
+            inbox: SimpleQueue = SimpleQueue()
+            self._inboxes.append(inbox)
+            threading.Thread(target=self._work, args=(inbox,), daemon=True, name=f"wkernels-{len(self._inboxes)}").start()
+
+    def _work(self, inbox: SimpleQueue) -> None:
+        while True:
+            job = inbox.get()
+            try:
+                job()
+                self._done.put(None)
+            except BaseException as error:  # handed to the caller, who raises it
+                self._done.put(error)
+
+    def run(self, jobs: Sequence[Callable[[], None]]) -> None:
+        """Runs all jobs at once, the first one here, and raises the first error any of them met."""
+        with self._busy:
+            self._grow(len(jobs) - 1)
+            for inbox, job in zip(self._inboxes, jobs[1:], strict=False):
+                inbox.put(job)
+            errors: list[BaseException | None] = []
+            try:
+                jobs[0]()
+            except BaseException as error:
+                errors.append(error)
+            errors += [self._done.get() for _ in jobs[1:]]
+        for error in errors:
+            if error is not None:
+                raise error
+
+
+# A worker that wakes up waits for the GIL this long; the default of 5 ms is more than a whole pass
+sys.setswitchinterval(1e-4)
+_team = _Team()
+
+
+def launch(
+    kernel: wp.Kernel,
+    dim: int | Sequence[int],
+    inputs: Sequence,
+    outputs: Sequence = (),
+    *,
+    device: str = "cpu",
+    threads: int | None = None,
+    tile: int | None = None,
+) -> None:
+    """Runs ``kernel`` over ``dim``; on the CPU in tiles along the first axis, spread over threads.
+
+    Args:
+        kernel: Its first argument is ``first: int``, to be added to the first index of ``wp.tid()``.
+        dim: Grid size, 1 to 3 axes. A grid with no cells is no launch.
+        inputs: Arguments after ``first``.
+        outputs: Further arguments, written by the kernel.
+        device: ``cpu`` or a CUDA device.
+        threads: CPU threads, at least 1; ``default_threads()`` if not given. The result does not depend on it.
+        tile: Cells of the first axis per tile; chosen from the grid and the threads if not given.
+    """
+    shape = (dim,) if isinstance(dim, int) else tuple(dim)
+    cells = 1
+    for extent in shape:
+        cells *= extent
+    if cells == 0:
+        return
+    arguments = [0, *inputs, *outputs]
+    if not wp.get_device(device).is_cpu:
+        wp.launch(kernel, dim=shape, inputs=arguments, device=device)
+        return
+    threads = default_threads() if threads is None else threads
+    rows = shape[0]
+    if threads <= 1 or rows == 1 or (cells < SERIAL_CELLS and tile is None):
+        wp.launch(kernel, dim=shape, inputs=arguments, device="cpu")
+        return
+    tile = tile or max(1, -(-rows // (threads * TILES_PER_THREAD)))
+    kernel.module.load(wp.get_device("cpu"))  # compiling from several threads would build the headers several times
+    workers = min(threads, -(-rows // tile))
+    # recorded here, one for each worker: recording refreshes the arguments' C structs in place, which must not race
+    commands = [
+        wp.launch(kernel, dim=(tile, *shape[1:]), inputs=arguments, device="cpu", record_cmd=True) for _ in range(workers)
+    ]
+    ticket = itertools.count()
+
+    def job(command: wp.Launch) -> None:
+        while (first := next(ticket) * tile) < rows:
+            command.set_dim((min(tile, rows - first), *shape[1:]))
+            command.set_param_at_index(0, first)
+            command.launch()
+
+    _team.run([functools.partial(job, command) for command in commands])

@@ -1,0 +1,139 @@
+"""Where a light depth map looks: the views that one light sample needs to cover all receivers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wkernels.geometry import Bounds
+from wkernels.lights import orthonormal_frame
+from wkernels.views import HostView
+
+MAX_TANGENT = 3.0  # a wider frustum wastes most texels at its rim; six faces cover the receivers better
+FACE_TANGENT = 1.05  # faces overlap, so that filter kernels at an edge of the cube stay inside their face
+NEAR_TO_FAR = 1e-6  # depth is linear: a tiny near plane costs no precision
+
+
+def scene_views(light_ws: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int) -> list[HostView]:
+    """Views that cover the receivers' bounding box from one light sample ("fit: scene").
+
+    Args:
+        light_ws: Light sample (4,), ``w = 1`` a point, ``w = 0`` a unit direction towards the light.
+        receivers: Box to cover; must not be empty.
+        casters: Box whose nearest side bounds the depth range of directional maps; may be empty.
+        resolution: Texels per side.
+
+    Returns:
+        One orthographic view for a direction, one perspective view for a point that sees the box within a moderate angle,
+        else six faces of a cube.
+    """
+    if light_ws[3] == 0.0:
+        return [_directional_view(light_ws[:3], receivers, casters, resolution)]
+    return _point_views(light_ws[:3], receivers, resolution)
+
+
+def _window(x: np.ndarray, y: np.ndarray, resolution: int) -> tuple[float, float, float, float]:
+    """Bounding rectangle with one texel of margin, never empty."""
+    middle = 0.5 * np.array([x.min() + x.max(), y.min() + y.max()])
+    half = 0.5 * np.array([np.ptp(x), np.ptp(y)])
+    half = np.maximum(half, 1e-6 * max(1e-6, float(np.abs(middle).max()), float(half.max())))
+    half *= resolution / max(resolution - 2.0, 0.5 * resolution)
+    return (middle[0] - half[0], middle[0] + half[0], middle[1] - half[1], middle[1] + half[1])
+
+
+def _directional_view(towards: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int) -> HostView:
+    forward = -towards / np.linalg.norm(towards)
+    right, up = orthonormal_frame(-forward)
+    corners = receivers.corners
+    depths = corners @ forward
+    nearest = depths.min() if casters.empty else min(depths.min(), float((casters.corners @ forward).min()))
+    span = max(float(depths.max() - nearest), 1e-6)
+    eye = forward * (nearest - 0.01 * span)
+    return HostView(
+        eye_ws=eye,
+        right_ws=right,
+        up_ws=up,
+        forward_ws=forward,
+        window=_window(corners @ right, corners @ up, resolution),
+        near=0.0,
+        far=1.02 * span,
+        width=resolution,
+        height=resolution,
+        perspective=False,
+    )
+
+
+def _point_views(position: np.ndarray, receivers: Bounds, resolution: int) -> list[HostView]:
+    offsets = receivers.corners - position
+    reach = float(np.linalg.norm(offsets, axis=1).max())
+    towards_middle = 0.5 * (receivers.low + receivers.high) - position
+    distance = np.linalg.norm(towards_middle)
+    common = {"eye_ws": position, "width": resolution, "height": resolution}
+    if distance > 1e-6 * reach:
+        forward = towards_middle / distance
+        right, up = orthonormal_frame(-forward)
+        depths = offsets @ forward
+        if depths.min() > 1e-3 * reach:
+            x, y = offsets @ right / depths, offsets @ up / depths
+            if max(np.abs(x).max(), np.abs(y).max()) <= MAX_TANGENT:
+                far = 1.001 * float(depths.max())
+                window = _window(x, y, resolution)
+                return [
+                    HostView(
+                        right_ws=right, up_ws=up, forward_ws=forward, window=window, near=NEAR_TO_FAR * far, far=far, **common
+                    )
+                ]
+    faces = []
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            forward = sign * np.eye(3)[axis]
+            right, up = orthonormal_frame(-forward)
+            window = (-FACE_TANGENT, FACE_TANGENT, -FACE_TANGENT, FACE_TANGENT)
+            faces.append(
+                HostView(
+                    right_ws=right,
+                    up_ws=up,
+                    forward_ws=forward,
+                    window=window,
+                    near=NEAR_TO_FAR * max(reach, 1e-6),
+                    far=1.001 * max(reach, 1e-6),
+                    **common,
+                )
+            )
+    return faces
+
+
+def perspective_aliasing(
+    light_views: list[HostView], light_ws: np.ndarray, eye: HostView, steps: int = 256
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Perspective aliasing error along the view vector, from the Jacobian of the map in use.
+
+    ``m`` is the length of a map texel over the length of a pixel, both in the world at the same point: above 1 the map is
+    undersampled. ``x`` is across view and light direction, ``z`` the view direction within the plane across the light
+    (Stingl 2011, section 2.3.2, equations 2.3 and 2.4, which these values equal for overhead light).
+
+    Returns:
+        Depths z (steps,) from near to far, m_x and m_z (steps,); NaN where no map covers the point.
+    """
+    z = np.geomspace(eye.near, eye.far, steps)
+    points = eye.eye_ws + z[:, None] * eye.forward_ws
+    pixel = z * (eye.window[3] - eye.window[2]) / eye.height
+    m_x, m_z = np.full(steps, np.nan), np.full(steps, np.nan)
+    for view in light_views:
+        rows = view.ws_to_ss
+        h = points @ rows[:, :3].T + rows[:, 3]
+        inside = (h[:, 3] > 0) & (np.abs(h[:, 0]) <= h[:, 3]) & (np.abs(h[:, 1]) <= h[:, 3])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ndc = h[:, :2] / h[:, 3:]
+            gradient = (rows[None, :2, :3] - ndc[:, :, None] * rows[None, 3:, :3]) / h[:, 3, None, None]
+        gradient *= 0.5 * np.array([view.width, view.height])[None, :, None]  # texels per unit length
+        to_light = light_ws[:3] - points * light_ws[3]
+        to_light /= np.maximum(np.linalg.norm(to_light, axis=1, keepdims=True), 1e-30)
+        along = eye.forward_ws - (to_light @ eye.forward_ws)[:, None] * to_light
+        length = np.linalg.norm(along, axis=1, keepdims=True)
+        along = np.where(length > 1e-6, along / np.maximum(length, 1e-30), eye.up_ws)
+        across = np.cross(to_light, along)
+        for out, direction in ((m_x, across), (m_z, along)):
+            density = np.linalg.norm(np.einsum("nij,nj->ni", gradient, direction), axis=1)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                out[inside] = (1.0 / density / pixel)[inside]
+    return z, m_x, m_z
