@@ -81,7 +81,8 @@ class Geometry:
         for vertices in placed:
             box.add(vertices)
         self.origin_ws = np.zeros(3) if box.empty else 0.5 * (box.low + box.high)
-        self._placed = [vertices - self.origin_ws for vertices in placed]
+        placed = [vertices - self.origin_ws for vertices in placed]
+        self._boxes = [_box(vertices) for vertices in placed]
         sizes = [len(mesh.faces) for mesh in self.meshes]
         starts = np.cumsum([0] + [len(mesh.vertices) for mesh in self.meshes])
         self._ranges = [slice(a, b) for a, b in zip(starts[:-1], starts[1:], strict=True)]
@@ -100,7 +101,7 @@ class Geometry:
         self.triangle_mesh = upload([np.repeat(np.arange(len(sizes)), sizes)], wp.int32, "int32")
         self.mesh_flags = wp.array(np.array(flags, dtype=np.int32), dtype=wp.int32, device=device)
         self.mesh_diffuse = wp.array(diffuse, dtype=wp.vec3, device=device)
-        self.points_ws = upload([p.astype(np.float32).reshape(-1, 3) for p in self._placed], wp.vec3, "float32")
+        self.points_ws = upload([p.astype(np.float32).reshape(-1, 3) for p in placed], wp.vec3, "float32")
         self.triangle_normal_ws = wp.zeros(self.triangles, dtype=wp.vec3, device=device)
         self._update_normals()
         self.moving = any(mesh.moving for mesh in self.meshes)
@@ -115,9 +116,10 @@ class Geometry:
         for i, mesh in enumerate(self.meshes):
             if not mesh.moving:
                 continue
-            self._placed[i] = _place(mesh, frame) - self.origin_ws
+            vertices = _place(mesh, frame) - self.origin_ws
+            self._boxes[i] = _box(vertices)
             region = self._ranges[i]
-            part = wp.array(self._placed[i].astype(np.float32), dtype=wp.vec3, device="cpu")
+            part = wp.array(vertices.astype(np.float32), dtype=wp.vec3, device="cpu")
             wp.copy(self.points_ws, part, dest_offset=region.start, count=len(part))
             moved = True
         if moved and not first:
@@ -128,9 +130,9 @@ class Geometry:
     def bounds(self, *, casters: bool = False, receivers: bool = False) -> Bounds:
         """Box of the casting or receiving meshes (or both) at the current frame, rebased world."""
         box = Bounds()
-        for mesh, vertices in zip(self.meshes, self._placed, strict=True):
-            if (casters and mesh.casts) or (receivers and mesh.receives):
-                box.add(vertices[np.isfinite(vertices).all(axis=1)])
+        for mesh, own in zip(self.meshes, self._boxes, strict=True):
+            if ((casters and mesh.casts) or (receivers and mesh.receives)) and not own.empty:
+                box.add(np.stack([own.low, own.high]))
         return box
 
     def _update_normals(self) -> None:
@@ -142,6 +144,12 @@ class Geometry:
             device=self.device,
             threads=self.threads,
         )
+
+
+def _box(vertices: np.ndarray) -> Bounds:
+    box = Bounds()
+    box.add(vertices[np.isfinite(vertices).all(axis=1)])
+    return box
 
 
 def _place(mesh: Mesh, frame: int) -> np.ndarray:
