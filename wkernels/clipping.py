@@ -279,7 +279,7 @@ def clip_to_line(polygon: HomogeneousPolygon, line: wp.vec3) -> HomogeneousPolyg
 
 @wp.func
 def clip_to_rect(polygon: HomogeneousPolygon, lo: wp.vec2, hi: wp.vec2) -> HomogeneousPolygon:
-    """The part of ``polygon`` that projects into the rectangle from ``lo`` to ``hi``. All of its w are >= 0."""
+    """The part of ``polygon`` that projects into the rectangle ``lo`` to ``hi``. Its w are >= 0, up to rounding."""
     out = clip_to_line(polygon, wp.vec3(1.0, 0.0, -lo[0]))
     out = clip_to_line(out, wp.vec3(-1.0, 0.0, hi[0]))
     out = clip_to_line(out, wp.vec3(0.0, 1.0, -lo[1]))
@@ -288,7 +288,7 @@ def clip_to_rect(polygon: HomogeneousPolygon, lo: wp.vec2, hi: wp.vec2) -> Homog
 
 @wp.func
 def _project_into_rect(corner: wp.vec3, lo: wp.vec2, hi: wp.vec2) -> wp.vec2:
-    # clipping leaves a corner outside by its rounding error, which division by a small w would blow up
+    # clipping leaves a corner outside by its rounding error, which division by a tiny w would blow up
     return wp.vec2(wp.clamp(corner[0] / corner[2], lo[0], hi[0]), wp.clamp(corner[1] / corner[2], lo[1], hi[1]))
 
 
@@ -296,12 +296,10 @@ def _project_into_rect(corner: wp.vec3, lo: wp.vec2, hi: wp.vec2) -> wp.vec2:
 def polygon_area_in_rect(polygon: HomogeneousPolygon, lo: wp.vec2, hi: wp.vec2) -> float:
     """Area of the part of ``polygon``, up to 8 corners, that projects into the rectangle from ``lo`` to ``hi``.
 
-    It is >= 0 for either orientation, and 0 for polygons that are seen edge-on or lie behind the centre (w < 0).
+    It is >= 0 for either orientation, and 0 for polygons seen edge-on or behind the centre (w < 0). Where the centre
+    lies in the polygon itself, between a half-plane and nothing, it is finite and no larger than the rectangle.
     """
     clipped = clip_to_rect(polygon, lo, hi)
-    for i in range(clipped.count):
-        if clipped.corners[i, 2] <= 0.0:  # the polygon's plane goes through the centre
-            return 0.0
     twice = float(0.0)
     if clipped.count >= 3:
         origin = _project_into_rect(clipped.corners[0], lo, hi)

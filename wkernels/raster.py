@@ -530,7 +530,7 @@ class Rasteriser:
         self._launch(project_vertices, len(points_ws), [points_ws, view], [out.screen])
         flags = self._array("flags", (count,), wp.uint8)
         self._launch(flag_clipped, count, [out.screen, indices], [flags])
-        clipped = np.flatnonzero(flags.numpy()).astype(np.int32)
+        clipped = np.flatnonzero(flags.numpy()[:count]).astype(np.int32)  # scratch holds at least one
         slots = len(clipped)
         out.clip_screen = self._array("clip_screen", (slots * CLIP_VERTICES,), wp.vec4)
         out.clip_corners = self._array("clip_corners", (slots * CLIP_TRIANGLES,), wp.vec3i)

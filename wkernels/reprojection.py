@@ -60,7 +60,7 @@ def accept_relative(depth: float, stored_depth: float, epsilon: float) -> bool:
     Returns:
         False as well where nothing was stored (depth 0, infinite or NaN).
     """
-    return stored_depth > 0.0 and wp.abs(stored_depth - depth) < epsilon * stored_depth and wp.isfinite(stored_depth)
+    return stored_depth > 0.0 and wp.abs(stored_depth - depth) < epsilon * stored_depth
 
 
 @wp.func
@@ -69,4 +69,4 @@ def accept_absolute(depth: float, stored_depth: float, epsilon: float) -> bool:
 
     The thesis finds this one unstable: no epsilon suits both ends of a deep scene. Otherwise as ``accept_relative``.
     """
-    return stored_depth > 0.0 and wp.abs(stored_depth - depth) < epsilon and wp.isfinite(stored_depth)
+    return stored_depth > 0.0 and wp.abs(stored_depth - depth) < epsilon

@@ -198,10 +198,13 @@ def light_set(kind: str, n: int, dims: int = 3, start: int = 0, seed: int | None
     return LIGHT_SETS[kind](n, dims, start, seed)
 
 
+_PCG_STEP = wp.constant(wp.uint32(2891336453))  # as a literal in the function it would be compiled as a signed number
+
+
 @wp.func
 def _pcg(value: wp.uint32) -> wp.uint32:
     """One step of PCG and its output permutation (Jarzynski and Olano 2020, "Hash functions for GPU rendering")."""
-    state = value * wp.uint32(747796405) + wp.uint32(2891336453)
+    state = value * wp.uint32(747796405) + _PCG_STEP
     word = ((state >> ((state >> wp.uint32(28)) + wp.uint32(4))) ^ state) * wp.uint32(277803737)
     return (word >> wp.uint32(22)) ^ word
 

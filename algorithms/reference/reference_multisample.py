@@ -32,7 +32,7 @@ class ReferenceMultisample(Technique):
         """How many points of the light, and which."""
 
         samples: int = setting(256, "points on the light", unit="rays per pixel", source="Scherzer 2009, sec. 1", ge=1, le=10**6)
-        sample_set: str = setting("halton", "point set: halton, r2, poisson or random", unit="name")
+        sample_set: str = setting("halton", "point set: halton, r2, poisson_disc or random", unit="name")
 
     def render(self, frame: Frame) -> wp.array:
         gbuffer = frame.gbuffer()

@@ -1,0 +1,41 @@
+# Every target makes .venv by itself; nothing else needs to be installed but Python 3.11 or newer.
+PYTHON ?= python3
+BIN := .venv/bin
+STAMP := .venv/.installed
+
+.PHONY: help demo test check bench table clean
+.DEFAULT_GOAL := help
+
+help:
+	@echo "make demo    render the demo walkthrough and write its report"
+	@echo "make test    run the tests"
+	@echo "make check   lint and type check"
+	@echo "make bench   time every technique of the demo at a larger size"
+	@echo "make table   bring the technique table of README.md up to date"
+	@echo "make clean   remove .venv and out/"
+
+$(STAMP): pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev,formats]"
+	@touch $@
+
+demo: $(STAMP)
+	@$(BIN)/wkernels run configs/experiments/demo.yaml --out out/demo
+	@echo "Report: $(CURDIR)/out/demo/report.html"
+
+test: $(STAMP)
+	$(BIN)/python -m pytest
+
+check: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+bench: $(STAMP)
+	@$(BIN)/wkernels run configs/experiments/cost.yaml --out out/bench
+	@echo "Report: $(CURDIR)/out/bench/report.html"
+
+table: $(STAMP)
+	$(BIN)/python -m experiments.commands.readme
+
+clean:
+	rm -rf .venv out

@@ -1,0 +1,137 @@
+"""Percentage-closer soft shadows: a filter as wide as the penumbra that a blocker search predicts (Fernando 2005).
+
+1. Blocker search: mean depth z_b of the map's texels that hide the receiver, at taps over the region that the light
+   covers as seen from the receiver, R_s = L (z_r - near) / z_r on the near plane. No blocker: lit.
+2. Penumbra width, with light, blocker and receiver parallel: w = L (z_r - z_b) / z_b (Schwaerzler 2009, equation 5.6;
+   Scherzer et al. 2009, equation 6), for a directional light of angle a: w = 2 tan(a/2) (z_r - z_b).
+3. Percentage-closer filter of that width on the plane of the receiver: w near / (z_r plane size) in map coordinates.
+
+Deviations: ``near`` of the search is the depth of the nearest caster in the map, not the near plane, which lies at
+the light and would spread the taps over the whole map. Filters have the shape of the light on the map's axes, so that
+a rectangle, a line or a tilted disc gives its own widths; of a polygon only its second moments count. Width on the
+map comes from the map's own matrix (equations 5.9 and 5.10 print near / z alone, the size on the near plane). Widths
+are limited to the map's side where blocker or light come close to the receiver.
+Known artefacts: bands in wide penumbrae with 16 taps, noise instead with ``rotate``; where casters overlap their
+depths are averaged, and so are their penumbrae; a sparse search misses thin casters and the outer penumbra, which is
+then lit; receivers that touch their caster find themselves; taps beyond the map, and beyond the 5 % by which the
+faces of an omnidirectional map overlap, repeat the texel at its border. ``poisson`` fills a disc, which suits discs,
+spheres and the sun; for rectangles and lines ``box`` is exact.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import warp as wp
+from pydantic import ValidationInfo, field_validator
+
+from algorithms.technique import Limit, MapParams, Needs, Technique, setting
+from wkernels.filtering import (
+    LightFootprint,
+    check_tap_count,
+    pcss_visibility,
+    pull_footprint,
+    pull_taps,
+    tap_rotation,
+)
+from wkernels.frame import Session as Frame
+from wkernels.gbuffer import GBuffer, is_back_lit
+from wkernels.geometry import RECEIVES
+from wkernels.light_map import Bias, LightMap, locate_receiver, to_light
+
+
+@wp.kernel
+def filter_penumbra(
+    first: int,
+    gbuffer: GBuffer,
+    light_map: LightMap,
+    footprint: LightFootprint,
+    bias: Bias,
+    blocker_taps: wp.array(dtype=wp.vec2),
+    filter_taps: wp.array(dtype=wp.vec2),
+    rotate: int,
+    bilinear: int,
+    seed: int,
+    visibility_out: wp.array2d(dtype=float),
+):
+    """Blocker search, penumbra width and filter of each pixel."""
+    row, x = wp.tid()
+    y = first + row
+    visible = float(1.0)
+    if (gbuffer.flags[y, x] & RECEIVES) != 0:
+        position_ws = gbuffer.position_ws[y, x]
+        if is_back_lit(gbuffer, y, x, to_light(light_map.light_ws, position_ws)):
+            visible = 0.0
+        else:
+            receiver = locate_receiver(light_map, bias, position_ws, gbuffer.normal_ws[y, x])
+            if receiver.layer >= 0:
+                rotation = tap_rotation(x, y, seed, rotate)
+                found = pcss_visibility(
+                    light_map, footprint, receiver, position_ws, blocker_taps, filter_taps, rotation, bilinear
+                )
+                visible = found[0]
+    visibility_out[y, x] = visible
+
+
+class Pcss(Technique):
+    """One map, a search and a filter per pixel."""
+
+    name = "pcss"
+    family = "filtering"
+    paper = ("fernando2005pcss", "schwaerzler2009", "scherzer2009tc", "stingl2011")
+    needs = Needs(area=True)
+    bias_sign = "none"
+    limits = (Limit(equals="shadow_map", light_scale=0.0),)
+
+    class Params(MapParams):
+        """The two tap sets."""
+
+        kernel: Literal["poisson", "box"] = setting(
+            "poisson",
+            "shape of both tap sets: poisson disc, or box of k x k",
+            unit="name",
+            source="Schwaerzler 2009, app. A",
+        )
+        blocker_taps: int = setting(
+            16,
+            "taps of the blocker search; a square number for box",
+            unit="taps",
+            source="Scherzer 2009, sec. 4",
+            ge=1,
+            le=4096,
+        )
+        filter_taps: int = setting(
+            16,
+            "taps of the filter; a square number for box",
+            unit="taps",
+            source="Scherzer 2009, sec. 4",
+            ge=1,
+            le=4096,
+        )
+        rotate: bool = setting(False, "turn the taps by a random angle in each pixel", unit="yes/no")
+        bilinear: bool = setting(
+            False,
+            "each filter tap is the bilinear mean of 2 x 2 comparisons",
+            unit="yes/no",
+            source="Scherzer 2009, sec. 4",
+        )
+
+        @field_validator("blocker_taps", "filter_taps")
+        @classmethod
+        def _fit_kernel(cls, taps: int, info: ValidationInfo) -> int:
+            return check_tap_count(taps, info.data.get("kernel", "poisson"))
+
+    def render(self, frame: Frame) -> wp.array:
+        gbuffer = frame.gbuffer()
+        visibility = frame.visibility_buffer(gbuffer)
+        if frame.nothing_casts(visibility):
+            return visibility
+        params = self.params
+        light_map = frame.light_map(params.resolution, cull=params.cull)
+        footprint = pull_footprint(frame, light_map)
+        taps = [pull_taps(frame, params.kernel, count) for count in (params.blocker_taps, params.filter_taps)]
+        with frame.timed("penumbra filter"):
+            options = [int(params.rotate), int(params.bilinear), frame.seed]
+            inputs = [gbuffer, light_map, footprint, params.device_bias, *taps, *options]
+            frame.launch(filter_penumbra, visibility.shape, inputs, [visibility])
+        return visibility

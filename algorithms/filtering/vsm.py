@@ -1,0 +1,251 @@
+"""Variance shadow maps: a filtered map of depth and squared depth bounds the lit share (Donnelly and Lauritzen 2006).
+
+The map stores z and z^2, is filtered like any image, and gives mean and variance of the depths under the filter: mu =
+M1, s^2 = M2 - M1^2 (Schwaerzler 2009, equations 4.1 and 4.2). Chebyshev's inequality bounds the share of them at or
+beyond the receiver's depth t: lit = 1 where t <= mu, else s^2 / (s^2 + (t - mu)^2) (equation 4.3; the condition is
+missing there, and the share is the lit one, not the one that fails). Two planes under the filter, one of them the
+receiver's, give the exact share. ``width: fixed`` filters with a Gaussian; soft lights are reduced to their centre.
+``width: pcss`` predicts the penumbra by a blocker search (Fernando 2005; Schwaerzler 2009, section 4.3.1) and takes
+the mean moments over it from a summed-area table (Lauritzen 2007). ``bleeding`` cuts off the tail of the bound: (p -
+a) / (1 - a), at least 0.
+
+Deviations: depths are normalised to [-1/2, 1/2] over the scene's range, or float32 would lose M2 - M1^2, and tables
+are float64. Texels without a caster hold the range's far end. The slope term M2 += (zx^2 + zy^2)/4
+(``slope_variance``) takes the smaller one-sided difference of the map on each axis, which is the caster's own slope
+and not the step at its silhouette.
+Known artefacts: light bleeding where casters overlap: two hiding depths a < b in equal parts leave 1 / (1 + (1 + 2 (c
+- b)/(b - a))^2) of the light at depth c; lit contacts, where caster and receiver are closer than
+sqrt(``min_variance``) of the range; the box of ``pcss`` turns with the map, not with the light; filters end at the
+map's border, and at that of a face of an omnidirectional map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import warp as wp
+from pydantic import field_validator
+
+from algorithms.technique import MapParams, Technique, setting
+from wkernels.blur import gaussian_weights, separable_blur
+from wkernels.filtering import (
+    LightFootprint,
+    mean_blocker_depth,
+    penumbra_spread,
+    pull_footprint,
+    pull_taps,
+    texels_per_ratio,
+)
+from wkernels.frame import Session as Frame
+from wkernels.gbuffer import GBuffer, is_back_lit
+from wkernels.geometry import RECEIVES
+from wkernels.light_map import Bias, LightMap, locate_receiver, to_light
+from wkernels.moments import Chebyshev, depth_range, find_moments, lit_share, normalised, sample_bilinear
+from wkernels.summed_area import box_mean, summed_area_table
+
+
+@wp.kernel
+def look_up_blurred(
+    first: int,
+    gbuffer: GBuffer,
+    light_map: LightMap,
+    bias: Bias,
+    chebyshev: Chebyshev,
+    moments: wp.array3d(dtype=wp.vec2),
+    visibility_out: wp.array2d(dtype=float),
+):
+    """One bilinear lookup of filtered moments per pixel."""
+    row, x = wp.tid()
+    y = first + row
+    visible = float(1.0)
+    if (gbuffer.flags[y, x] & RECEIVES) != 0:
+        position_ws = gbuffer.position_ws[y, x]
+        if is_back_lit(gbuffer, y, x, to_light(light_map.light_ws, position_ws)):
+            visible = 0.0
+        else:
+            receiver = locate_receiver(light_map, bias, position_ws, gbuffer.normal_ws[y, x])
+            if receiver.layer >= 0:
+                mean = sample_bilinear(moments, receiver.layer, receiver.x, receiver.y)
+                visible = lit_share(chebyshev, mean, normalised(chebyshev, receiver.depth))
+    visibility_out[y, x] = visible
+
+
+@wp.kernel
+def look_up_penumbra(
+    first: int,
+    gbuffer: GBuffer,
+    light_map: LightMap,
+    bias: Bias,
+    chebyshev: Chebyshev,
+    footprint: LightFootprint,
+    blocker_taps: wp.array(dtype=wp.vec2),
+    tables: wp.array3d(dtype=wp.vec2d),
+    visibility_out: wp.array2d(dtype=float),
+):
+    """Blocker search, then the mean moments over the box that has the penumbra's second moments."""
+    row, x = wp.tid()
+    y = first + row
+    visible = float(1.0)
+    if (gbuffer.flags[y, x] & RECEIVES) != 0:
+        position_ws = gbuffer.position_ws[y, x]
+        if is_back_lit(gbuffer, y, x, to_light(light_map.light_ws, position_ws)):
+            visible = 0.0
+        else:
+            receiver = locate_receiver(light_map, bias, position_ws, gbuffer.normal_ws[y, x])
+            if receiver.layer >= 0:
+                axes = texels_per_ratio(light_map, footprint, receiver.layer, position_ws)
+                nearest = footprint.nearest_depth[receiver.layer]
+                search = penumbra_spread(light_map, footprint, receiver, axes, nearest)
+                blocker = mean_blocker_depth(light_map, receiver, search, blocker_taps)
+                if blocker[1] > 0.0:
+                    spread = penumbra_spread(light_map, footprint, receiver, axes, blocker[0])
+                    # one texel at least: less would be an unfiltered map
+                    half_x = wp.max(wp.length(wp.vec2(spread[0, 0], spread[0, 1])), 0.5)
+                    half_y = wp.max(wp.length(wp.vec2(spread[1, 0], spread[1, 1])), 0.5)
+                    mean = box_mean(
+                        tables[receiver.layer],
+                        receiver.x - half_x,
+                        receiver.y - half_y,
+                        receiver.x + half_x,
+                        receiver.y + half_y,
+                    )
+                    visible = lit_share(chebyshev, mean, normalised(chebyshev, receiver.depth))
+    visibility_out[y, x] = visible
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Moments of one light map, unfiltered.
+
+    Attributes:
+        chebyshev: The depth range they are normalised to, and the technique's constants.
+        image: vec2 (layers, R, R): mean and mean square of normalised depth.
+    """
+
+    chebyshev: Chebyshev
+    image: wp.array
+
+
+class Vsm(Technique):
+    """One map of moments, one filtered lookup per pixel."""
+
+    name = "vsm"
+    family = "filtering"
+    paper = ("donnelly2006vsm", "lauritzen2007savsm", "fernando2005pcss", "schwaerzler2009")
+    bias_sign = "lighter"
+
+    class Params(MapParams):
+        """Filter and bound."""
+
+        width: Literal["fixed", "pcss"] = setting(
+            "fixed",
+            "filter of fixed size, or as wide as the penumbra",
+            unit="name",
+            source="Schwaerzler 2009, sec. 4.3.1",
+        )
+        taps: int = setting(
+            5,
+            "taps of the Gaussian along each axis, odd (width fixed)",
+            unit="texels",
+            source="Donnelly 2006",
+            ge=1,
+            le=255,
+        )
+        blocker_taps: int = setting(
+            16, "taps of the blocker search (width pcss)", unit="taps", source="Scherzer 2009, sec. 4", ge=1, le=4096
+        )
+        min_variance: float = setting(
+            1e-5,
+            "least variance, of depth over the scene's depth range",
+            unit="1",
+            source="Donnelly 2006",
+            gt=0.0,
+            le=1.0,
+        )
+        bleeding: float = setting(
+            0.0,
+            "share of the bound that is cut off against light bleeding",
+            unit="1",
+            source="Lauritzen 2007",
+            ge=0.0,
+            le=0.99,
+        )
+        slope_variance: bool = setting(
+            False, "adds the variance of depth within each texel", unit="yes/no", source="Donnelly 2006"
+        )
+
+        @field_validator("taps")
+        @classmethod
+        def _have_a_centre(cls, taps: int) -> int:
+            if taps % 2 == 0:
+                raise ValueError(f"a filter has an odd number of taps, so {taps} is not possible: take {taps + 1}")
+            return taps
+
+    def render(self, frame: Frame) -> wp.array:
+        gbuffer = frame.gbuffer()
+        visibility = frame.visibility_buffer(gbuffer)
+        if frame.nothing_casts(visibility):
+            return visibility
+        params = self.params
+        light_map = frame.light_map(params.resolution, cull=params.cull)
+        moments = self._moments(frame, light_map)
+        common = [gbuffer, light_map, params.device_bias, moments.chebyshev]
+        if params.width == "fixed":
+            image = self._blurred(frame, moments)
+            with frame.timed("moment lookup"):
+                frame.launch(look_up_blurred, visibility.shape, [*common, image], [visibility])
+            return visibility
+        tables = self._tables(frame, moments)
+        footprint = pull_footprint(frame, light_map)
+        taps = pull_taps(frame, "poisson", params.blocker_taps)
+        with frame.timed("penumbra lookup"):
+            frame.launch(look_up_penumbra, visibility.shape, [*common, footprint, taps, tables], [visibility])
+        return visibility
+
+    def _moments(self, frame: Frame, light_map: LightMap) -> Moments:
+        def build(old: Moments | None) -> Moments:
+            box = frame.geometry.bounds(casters=True, receivers=True)
+            near, far = depth_range(light_map.ws_to_ls.numpy(), box.corners)
+            chebyshev = Chebyshev()
+            chebyshev.near, chebyshev.per_length = near, 1.0 / (far - near)
+            chebyshev.min_variance, chebyshev.bleeding = self.params.min_variance, self.params.bleeding
+            image = _reuse(old.image if old else None, light_map.depth.shape, wp.vec2, frame.device)
+            for layer in range(light_map.layers):
+                inputs = [light_map.depth, chebyshev, int(self.params.slope_variance), layer]
+                frame.launch(find_moments, image.shape[1:], inputs, [image[layer]])
+            return Moments(chebyshev, image)
+
+        # a map that is drawn anew is a new struct, so that the struct itself stands for everything the map depends on
+        moments: Moments = frame.product("moments", "moments", (light_map,), build)
+        return moments
+
+    def _blurred(self, frame: Frame, moments: Moments) -> wp.array:
+        if self.params.taps == 1 and frame.leave_out("blur of moments", "its kernel has one tap"):
+            return moments.image
+
+        def build(old: wp.array | None) -> wp.array:
+            out = _reuse(old, moments.image.shape, wp.vec2, frame.device)
+            scratch = frame.buffer("blurred rows", moments.image.shape[1:], wp.vec2)
+            weights = gaussian_weights(self.params.taps // 2)
+            for layer in range(len(out)):
+                separable_blur(moments.image[layer], weights, threads=frame.threads, scratch=scratch, out=out[layer])
+            return out
+
+        blurred: wp.array = frame.product("blur of moments", "blurred moments", (moments,), build)
+        return blurred
+
+    def _tables(self, frame: Frame, moments: Moments) -> wp.array:
+        def build(old: wp.array | None) -> wp.array:
+            layers, height, width = moments.image.shape
+            out = _reuse(old, (layers, height + 1, width + 1), wp.vec2d, frame.device)
+            for layer in range(layers):
+                summed_area_table(moments.image[layer], threads=frame.threads, out=out[layer])
+            return out
+
+        tables: wp.array = frame.product("summed-area tables", "summed-area tables", (moments,), build)
+        return tables
+
+
+def _reuse(old: wp.array | None, shape: tuple[int, ...], dtype: type, device: str) -> wp.array:
+    return old if old is not None and old.shape == shape else wp.empty(shape, dtype=dtype, device=device)

@@ -1,0 +1,26 @@
+"""Experiments with shadow techniques: scenes, reference, metrics, walkthroughs, reports.
+
+``render_visibility`` and ``reference_visibility`` are the calls for scripts and notebooks; importing this package alone loads
+neither Warp nor any technique.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from experiments.api import reference_visibility, render_visibility
+
+__all__ = ["reference_visibility", "render_visibility"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in __all__:
+        from experiments import api
+
+        return getattr(api, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -1,0 +1,61 @@
+"""``wkernels run``, ``report`` and ``explain``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from algorithms.plugins import load_all
+from experiments.commands.progress import progress_display
+from experiments.config.schema import load_experiment
+
+
+def run_experiment(
+    config: Path,
+    out: Path | None,
+    *,
+    overrides: Sequence[str],
+    device: str,
+    threads: int | None,
+    resume: bool,
+    skips: bool,
+    plugin_files: Sequence[Path],
+) -> None:
+    """Runs an experiment, which writes its report, and says where that is."""
+    from experiments.runner import run
+
+    plugins = load_all(plugin_files)
+    experiment = load_experiment(config, overrides, plugins)
+    folder = out or Path("out") / experiment.name
+    try:
+        with progress_display() as progress:
+            run(
+                experiment,
+                folder,
+                device=device,
+                threads=threads,
+                resume=resume,
+                skips=skips,
+                plugins=plugins,
+                progress=progress,
+            )
+    except KeyboardInterrupt:
+        print(f"\nInterrupted; what is done is in {folder}, --resume continues.", file=sys.stderr)
+        raise
+    print(f"Report: {folder / 'report.html'}")
+
+
+def report_folder(folder: Path) -> None:
+    """Writes the report of a result folder again."""
+    from experiments.report import write_report
+
+    print(f"Report: {write_report(folder)}")
+
+
+def explain_experiment(config: Path, *, overrides: Sequence[str], plugin_files: Sequence[Path]) -> None:
+    """Prints what an experiment will do."""
+    from experiments.explain import explain
+
+    plugins = load_all(plugin_files)
+    print(explain(load_experiment(config, overrides, plugins), plugins))

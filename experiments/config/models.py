@@ -1,0 +1,85 @@
+"""Models of the experiment file, as it is written (DESIGN section 5)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from experiments.config.source import StrictModel
+
+Pixels = Annotated[int, Field(ge=1, le=16384)]
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class Image(StrictModel):
+    """Size of the rendered frames in pixels, 1 to 16384."""
+
+    width: Pixels
+    height: Pixels
+
+
+class Reference(StrictModel):
+    """The ray-cast reference: ``samples`` light samples per pixel, on every ``every``-th rendered frame."""
+
+    samples: int = Field(256, ge=1, le=1_000_000)
+    every: int = Field(1, ge=1)
+
+
+class Projection(StrictModel):
+    """How light views are laid over the scene; the default of every technique that reads a shadow map.
+
+    Attributes:
+        fit: What the light view is fitted to; a file of ``algorithms/projections``.
+        warp: Reparametrisation towards the eye.
+        splits: Number of depth splits of the view frustum, 1 to 16.
+        scheme: How the splits are spaced.
+        lambda_: Key ``lambda``: 0 = uniform, 1 = logarithmic spacing of the ``practical`` scheme.
+        selection: Which split a receiver reads.
+        storage: How the splits' maps are stored; never changes the picture.
+        stabilise: Remedy against swimming shadow edges.
+    """
+
+    fit: str = "scene"
+    warp: Literal["none", "psm", "lispsm_nopt", "lispsm_nrepar", "arbitrary"] = "none"
+    splits: int = Field(1, ge=1, le=16)
+    scheme: Literal["uniform", "log", "practical", "pseudo"] = "practical"
+    lambda_: Fraction = Field(0.5, alias="lambda")
+    selection: Literal["depth", "best"] = "depth"
+    storage: Literal["separate", "array", "cube6", "atlas4", "atlas9", "atlas16"] = "separate"
+    stabilise: Literal["none", "exact", "approximate"] = "none"
+
+
+class FrameRange(StrictModel):
+    """Frames ``start, start + step, ...`` below ``stop``."""
+
+    start: int = Field(0, ge=0)
+    stop: int = Field(ge=1)
+    step: int = Field(1, ge=1)
+
+    @model_validator(mode="after")
+    def _not_empty(self) -> FrameRange:
+        if self.stop <= self.start:
+            raise ValueError(f"holds no frame: stop {self.stop} must be greater than start {self.start}.")
+        return self
+
+    def indices(self) -> tuple[int, ...]:
+        """The frame numbers."""
+        return tuple(range(self.start, self.stop, self.step))
+
+
+class WalkthroughFile(StrictModel):
+    """An experiment file of ``kind: walkthrough``; ``Experiment`` says what the keys mean."""
+
+    kind: Literal["walkthrough"]
+    scene: str | dict[str, Any]
+    image: Image
+    reference: Reference | None = None
+    metrics: list[str] | None = None
+    projection: Projection | None = None
+    techniques: list[str | dict[str, Any]] = Field(min_length=1)
+    baseline: str | None = None
+    repeats: int = Field(1, ge=1, le=1000)
+    seed: int = Field(1, ge=0, le=2**31 - 1)
+    frames: Annotated[int, Field(ge=1)] | FrameRange | None = None
+    light: int = Field(0, ge=0)

@@ -1,0 +1,77 @@
+"""Whether a scene offers what a technique declares to need, asked before any work is done."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from experiments.config.messages import Loc
+from experiments.config.source import Source
+from wkernels.errors import InputError
+from wkernels.lights import Light
+from wkernels.scene import Mesh, Scene
+
+PLANAR_TOLERANCE = 1e-6  # of the mesh's extent
+
+
+def unmet_need(technique: Any, scene: Scene, light: Light) -> str | None:
+    """One sentence about the first need that is not met, or None.
+
+    Args:
+        technique: A technique class.
+        scene: The scene.
+        light: The light whose shadows are asked for.
+    """
+    needs, name = technique.needs, technique.name
+    if light.kind not in needs.lights:
+        known = ", ".join(sorted(needs.lights))
+        return f"'{name}' works with lights of kind {known}; this one is a {light.kind} light."
+    if needs.area and not light.has_area:
+        how = {"directional": "an angle_deg greater than 0", "point": "another kind, such as sphere or rectangle"}
+        remedy = how.get(light.kind, "a size greater than 0")
+        return f"'{name}' needs a light with an area; this {light.kind} light has none (give it {remedy})."
+    if needs.closed_meshes:
+        opened = next((mesh.name for mesh in scene.meshes if mesh.casts and not is_closed(mesh)), None)
+        if opened is not None:
+            return f"'{name}' needs closed casters; the mesh '{opened}' is open (casts: false takes it out)."
+    if needs.planar_receiver and not any(mesh.receives and is_planar(mesh) for mesh in scene.meshes):
+        return f"'{name}' needs a planar receiver; no receiving mesh of the scene is flat."
+    return None
+
+
+def check_needs(technique: Any, scene: Scene, light: Light, *, source: Source | None = None, loc: Loc = ()) -> None:
+    """Refuses a technique that cannot work in a scene.
+
+    Args:
+        technique: A technique class.
+        scene: The scene.
+        light: The light whose shadows are asked for.
+        source: The experiment file that asks for it, if there is one.
+        loc: Where it does.
+
+    Raises:
+        InputError: A need is not met; says which one and, where possible, what would meet it.
+    """
+    message = unmet_need(technique, scene, light)
+    if message is not None:
+        raise source.error(message, loc) if source else InputError(message)
+
+
+def is_closed(mesh: Mesh) -> bool:
+    """Whether the mesh is a closed, consistently oriented 2-manifold once coincident vertices are merged."""
+    _, merged = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    faces = merged.reshape(-1)[mesh.faces]
+    corners = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    faces = faces[corners]
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    forward, counts = np.unique(edges, axis=0, return_counts=True)
+    backward = np.unique(edges[:, ::-1], axis=0)
+    return len(edges) > 0 and bool(np.all(counts == 1)) and np.array_equal(forward, backward)
+
+
+def is_planar(mesh: Mesh) -> bool:
+    """Whether all vertices lie in one plane, within a millionth of the mesh's extent."""
+    centred = mesh.vertices - mesh.vertices.mean(axis=0)
+    values = np.linalg.svd(centred, compute_uv=False) if len(centred) >= 3 else np.zeros(3)
+    return bool(values[-1] <= PLANAR_TOLERANCE * max(values[0], 1e-300))

@@ -1,0 +1,221 @@
+"""The experiment file (``kind: walkthrough``), resolved.
+
+What a file may leave out is filled in here, so that the resolved form, written beside the results, says everything and
+can be run again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic_core import to_jsonable_python
+
+from experiments.config.messages import Loc
+from experiments.config.models import FrameRange, Image, Projection, Reference, WalkthroughFile
+from experiments.config.needs import check_needs
+from experiments.config.overrides import apply_overrides
+from experiments.config.source import Source, dump_yaml, load_yaml, validate
+from experiments.config.techniques import TechniqueRun, check_projection, expand_techniques
+from wkernels.errors import nearest
+from wkernels.scene import Scene
+
+__all__ = ["Experiment", "FrameRange", "Image", "Projection", "Reference", "check_needs", "load_experiment"]
+
+KINDS = ("walkthrough", "convergence", "sweep", "stability", "analysis", "bench")
+AVAILABLE_KINDS = ("walkthrough",)
+REFERENCE_METRICS = frozenset({"rmse", "mean_signed_error", "p99_error", "flip", "reference_standard_error"})
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """A resolved walkthrough: every default filled in, sweeps multiplied out, names checked.
+
+    Attributes:
+        name: Stem of the experiment file.
+        scene: Absolute path of the scene file, or its data (file names in it are absolute).
+        image: Frame size.
+        reference: None where no reference is to be made.
+        metrics: Names of the metrics to compute.
+        projection: Default projection; None leaves it to each technique.
+        runs: One per label, in file order.
+        baseline: The label that costs are relative to.
+        repeats: Timed repetitions of each frame.
+        seed: Seed of every sample set.
+        frames: Frame numbers to render, ascending.
+        light: Index of the light whose visibility is compared.
+    """
+
+    name: str
+    scene: Path | dict[str, Any]
+    image: Image
+    reference: Reference | None
+    metrics: tuple[str, ...]
+    projection: Projection | None
+    runs: tuple[TechniqueRun, ...]
+    baseline: str
+    repeats: int
+    seed: int
+    frames: tuple[int, ...]
+    light: int
+    loaded_scene: Scene
+
+    def load_scene(self) -> Scene:
+        """The scene, which was loaded to check the experiment against it."""
+        return self.loaded_scene
+
+    def to_yaml(self) -> str:
+        """The experiment as a file that runs again and gives the same results."""
+        data: dict[str, Any] = {
+            "kind": "walkthrough",
+            "scene": self.scene.as_posix() if isinstance(self.scene, Path) else self.scene,
+            "image": self.image.model_dump(),
+            "reference": self.reference.model_dump() if self.reference else None,
+            "metrics": list(self.metrics),
+            "projection": self.projection.model_dump(by_alias=True) if self.projection else None,
+            "techniques": [run.entry() for run in self.runs],
+            "baseline": self.baseline,
+            "repeats": self.repeats,
+            "seed": self.seed,
+            "frames": _as_range(self.frames),
+            "light": self.light,
+        }
+        return dump_yaml(to_jsonable_python({key: value for key, value in data.items() if value is not None}))
+
+
+def load_experiment(
+    path: str | Path, overrides: Iterable[str] = (), plugins: Mapping[str, type] | None = None
+) -> Experiment:
+    """Reads, checks and resolves an experiment file together with its scene.
+
+    Args:
+        path: The YAML file.
+        overrides: ``key.path=value`` texts, as given to ``--set``.
+        plugins: Techniques by name; None finds those of the installed packages.
+
+    Raises:
+        InputError: Something in the file, the overrides or the scene is wrong, or a technique cannot use the light.
+    """
+    if plugins is None:
+        from algorithms.plugins import load_all
+
+        plugins = load_all()
+    path = Path(path)
+    source = load_yaml(path)
+    if not isinstance(source.data, dict):
+        raise source.error("must be a mapping with the keys kind, scene, image, techniques, ...")
+    base = path.resolve().parent
+    source = apply_overrides(source, overrides, lambda s: _inline_scene(s, base))
+    _check_kind(source)
+    file = validate(WalkthroughFile, source)
+    if file.projection is not None:
+        check_projection(source, ("projection",), file.projection.model_dump(by_alias=True))
+    runs = expand_techniques(source, plugins, file.projection, Projection)
+    return _resolved(path.stem, source, file, runs, base, plugins)
+
+
+def _resolved(
+    name: str,
+    source: Source,
+    file: WalkthroughFile,
+    runs: tuple[TechniqueRun, ...],
+    base: Path,
+    plugins: Mapping[str, type],
+) -> Experiment:
+    from experiments.scenes import load_scene, scene_from_source
+
+    labels = [run.label for run in runs]
+    if file.baseline is not None and file.baseline not in labels:
+        message = f"no technique has the label '{file.baseline}'." + nearest(file.baseline, labels)
+        raise source.error(message, ("baseline",))
+    scene_source = _scene_source(source, base)
+    if isinstance(scene_source, Path):
+        scene = load_scene(scene_source)
+    else:
+        scene = scene_from_source(source, ("scene",), base=base)
+    if file.light >= len(scene.lights):
+        raise source.error(f"the scene has {len(scene.lights)} light(s); there is no light {file.light}.", ("light",))
+    for run in runs:
+        check_needs(plugins[run.name], scene, scene.lights[file.light], source=source, loc=run.loc)
+    return Experiment(
+        name=name,
+        scene=scene_source,
+        image=file.image,
+        reference=file.reference,
+        metrics=_metrics(source, file),
+        projection=file.projection,
+        runs=runs,
+        baseline=file.baseline or labels[0],
+        repeats=file.repeats,
+        seed=file.seed,
+        frames=_frames(file, scene),
+        light=file.light,
+        loaded_scene=scene,
+    )
+
+
+def _check_kind(source: Source) -> None:
+    kind = source.data.get("kind")
+    if isinstance(kind, str) and kind not in AVAILABLE_KINDS:
+        if kind in KINDS:
+            message = f"kind '{kind}' is not available yet; available: {', '.join(AVAILABLE_KINDS)}."
+            raise source.error(message, ("kind",))
+        raise source.error(f"'{kind}' is not a kind of experiment." + nearest(kind, KINDS), ("kind",))
+
+
+def _metrics(source: Source, file: WalkthroughFile) -> tuple[str, ...]:
+    from experiments.metrics import METRICS
+
+    if file.metrics is None:
+        return ("rmse", "mean_signed_error", "p99_error", "flip") if file.reference else ()
+    for i, name in enumerate(file.metrics):
+        if name not in METRICS:
+            raise source.error(f"there is no metric '{name}'." + nearest(name, METRICS), ("metrics", i))
+        if name in REFERENCE_METRICS and file.reference is None:
+            raise source.error(f"the metric '{name}' needs the key 'reference' in this file.", ("metrics", i))
+        if name in file.metrics[:i]:
+            raise source.error(f"the metric '{name}' is listed twice.", ("metrics", i))
+    return tuple(file.metrics)
+
+
+def _frames(file: WalkthroughFile, scene: Scene) -> tuple[int, ...]:
+    if isinstance(file.frames, FrameRange):
+        return file.frames.indices()
+    return tuple(range(scene.frames if file.frames is None else file.frames))
+
+
+def _as_range(frames: tuple[int, ...]) -> dict[str, int]:
+    step = frames[1] - frames[0] if len(frames) > 1 else 1
+    return {"start": frames[0], "stop": frames[-1] + 1, "step": step}
+
+
+def _scene_source(source: Source, base: Path) -> Path | dict[str, Any]:
+    scene = source.data["scene"]
+    if isinstance(scene, dict):
+        return dict(_with_absolute_files(scene, base))
+    path = base / scene
+    if not path.is_file():
+        raise source.error(f"no scene file {path}.", ("scene",))
+    return path
+
+
+def _inline_scene(source: Source, base: Path) -> Source:
+    """Puts the scene file's data into the experiment, for ``--set scene.camera.fov_deg=40`` to change."""
+    loc: Loc = ("scene",)
+    path = _scene_source(source, base)
+    assert isinstance(path, Path)
+    return source.replaced(loc, _with_absolute_files(load_yaml(path).data, path.parent), str(path))
+
+
+def _with_absolute_files(data: Any, base: Path) -> Any:
+    if isinstance(data, list):
+        return [_with_absolute_files(item, base) for item in data]
+    if not isinstance(data, dict):
+        return data
+    out = {}
+    for key, value in data.items():
+        is_file = key in ("file", "texture") and isinstance(value, str) and not value.startswith("warp:")
+        out[key] = (base / value).as_posix() if is_file else _with_absolute_files(value, base)
+    return out

@@ -1,0 +1,178 @@
+"""What the runner asks of a renderer, and the renderer itself behind that interface.
+
+The interface is small so that the runner's own rules (order, timing, resuming, failures) are tested without rendering.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from wkernels.errors import InputError, nearest
+
+if TYPE_CHECKING:
+    from experiments.config.schema import Experiment
+    from experiments.config.techniques import TechniqueRun
+    from experiments.reference import ReferenceRenderer
+    from wkernels.scene import Scene
+
+
+class FrameLike(Protocol):
+    """The part of ``wkernels.frame.FrameResult`` that is stored; see there."""
+
+    visibility: np.ndarray
+    color: np.ndarray
+    standard_error: np.ndarray | None
+    world_position: np.ndarray
+    passes: list[tuple[str, float]]
+    frame_ms: float
+    shadow_ms: float
+    left_out: list[tuple[str, str, int]]
+    m_x_max: float
+    m_z_max: float
+
+
+class SessionLike(Protocol):
+    """The part of ``wkernels.frame.Session`` that the runner drives; see there."""
+
+    def begin(self, frame_index: int) -> None:
+        """Moves to a frame; again with the same index it drops what was built for it."""
+
+    def render(self, technique: Any) -> FrameLike:
+        """Renders the frame."""
+
+    def advance(self) -> None:
+        """Commits history."""
+
+    def reset(self) -> None:
+        """Forgets history and products."""
+
+
+class Engine(Protocol):
+    """One experiment's renderer.
+
+    Attributes:
+        plugins: Technique classes by name, at least those of the experiment.
+        scene: What is rendered.
+        device: Warp device.
+        threads: CPU threads, resolved.
+    """
+
+    plugins: Mapping[str, type]
+    scene: Scene
+    device: str
+    threads: int
+
+    def open(self, run: TechniqueRun) -> tuple[SessionLike, Any]:
+        """A new session and the technique that it will render."""
+
+    def reference(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        """Reference visibility and standard error of a frame, both (H, W), NaN where no receiver is seen."""
+
+    def ws_to_ss(self, frame: int) -> np.ndarray:
+        """The eye's matrix of a frame, float64 (4, 4), rows x, y, linear depth, w."""
+
+
+class WarpEngine:
+    """Renders an experiment with Warp; all labels share one geometry.
+
+    Args:
+        experiment: The resolved experiment.
+        device: ``cpu`` or a CUDA device.
+        threads: CPU threads; None for all.
+        skips: Whether work that the scene cannot need may be left out.
+        plugins: Technique classes by name; None finds those of the installed packages.
+
+    Raises:
+        InputError: A technique is unknown or cannot work with the scene or light, or there is no such device.
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        *,
+        device: str = "cpu",
+        threads: int | None = None,
+        skips: bool = True,
+        plugins: Mapping[str, type] | None = None,
+    ) -> None:
+        from algorithms.projection import compose
+        from experiments.config.needs import check_needs
+        from wkernels.geometry import Geometry
+        from wkernels.launch import default_threads
+
+        if plugins is None:
+            from algorithms.plugins import load_all
+
+            plugins = load_all()
+        check_device(device)
+        self.experiment = experiment
+        self.plugins = plugins
+        self.scene = experiment.load_scene()
+        self.device, self.skips = device, skips
+        self.threads = default_threads() if threads is None else threads
+        for run in experiment.runs:
+            if run.name not in plugins:
+                raise InputError(f"there is no technique '{run.name}'." + nearest(run.name, plugins))
+            check_needs(plugins[run.name], self.scene, self.scene.lights[experiment.light])
+        self._projections = {run.label: compose(run.projection) if run.projection else None for run in experiment.runs}
+        self.geometry = Geometry(self.scene, device, self.threads)
+        self._reference: ReferenceRenderer | None = None
+
+    def open(self, run: TechniqueRun) -> tuple[SessionLike, Any]:
+        """A new session and the technique that it will render."""
+        from wkernels.frame import Session
+
+        cls: Any = self.plugins[run.name]
+        session = Session(
+            self.geometry,
+            width=self.experiment.image.width,
+            height=self.experiment.image.height,
+            light_index=self.experiment.light,
+            device=self.device,
+            threads=self.threads,
+            seed=self.experiment.seed,
+            projection=self._projections[run.label],
+            skips=self.skips,
+        )
+        return session, cls(cls.Params(**run.params))
+
+    def reference(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        """Reference visibility and standard error, from the cache where it has them."""
+        from experiments.reference import ReferenceRenderer
+
+        experiment = self.experiment
+        assert experiment.reference is not None
+        if self._reference is None:
+            self._reference = ReferenceRenderer(
+                self.geometry,
+                samples=experiment.reference.samples,
+                width=experiment.image.width,
+                height=experiment.image.height,
+                light=experiment.light,
+                device=self.device,
+                threads=self.threads,
+                seed=experiment.seed,
+            )
+        made = self._reference.render(frame)
+        return made.visibility, made.standard_error
+
+    def ws_to_ss(self, frame: int) -> np.ndarray:
+        """The eye's matrix of a frame in the scene's own world space."""
+        from wkernels.views import eye_view
+
+        image = self.experiment.image
+        return eye_view(self.scene.camera(frame), image.width, image.height, np.zeros(3)).ws_to_ss
+
+
+def check_device(device: str) -> None:
+    """Raises InputError unless ``device`` names a Warp device of this machine."""
+    import warp as wp
+
+    known = [str(d) for d in wp.get_devices()]
+    if device not in known and device != "cuda":
+        raise InputError(f"there is no device '{device}'." + nearest(device, known), key="--device")
+    if device == "cuda" and not wp.is_cuda_available():
+        raise InputError("there is no CUDA device on this machine.", key="--device")

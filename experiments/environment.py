@@ -1,0 +1,136 @@
+"""What environment.json records: where results come from, and what must not change between the parts of one run."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import inspect
+import os
+import platform
+import subprocess
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from experiments.metrics import METRICS
+from wkernels import __version__
+
+if TYPE_CHECKING:
+    from experiments.config.schema import Experiment
+    from experiments.engine import Engine
+
+_PACKAGES = ("warp-lang", "numpy", "scipy", "trimesh", "OpenImageIO", "pydantic", "matplotlib", "pandas")
+
+
+def describe_run(experiment: Experiment, engine: Engine, *, skips: bool) -> dict[str, Any]:
+    """environment.json of a run.
+
+    Returns:
+        ``identity``: what rows must share to be comparable (a resumed run checks it); ``run``: what was run, for reports;
+        ``environment``: software and machine; ``metrics``: version of each metric's definition.
+    """
+    used = sorted({run.name for run in experiment.runs})
+    light = engine.scene.lights[experiment.light]
+    return {
+        "identity": {
+            "config": _digest(experiment.to_yaml().encode()),
+            "scene": engine.scene.content_hash,
+            **{f"plugin {name}": file_digest(inspect.getfile(engine.plugins[name])) for name in used},
+            "device": engine.device,
+            "threads": engine.threads,
+            "skips": skips,
+            "wkernels": __version__,
+        },
+        "run": {
+            "name": experiment.name,
+            "scene": engine.scene.name,
+            "triangles": int(sum(len(mesh.faces) for mesh in engine.scene.meshes)),
+            "light": light.kind,
+            "width": experiment.image.width,
+            "height": experiment.image.height,
+            "frames": list(experiment.frames),
+            "reference_samples": experiment.reference.samples if experiment.reference else None,
+            "repeats": experiment.repeats,
+            "baseline": experiment.baseline,
+            "labels": [
+                {"label": run.label, "technique": run.name, **_declared(engine.plugins[run.name])} for run in experiment.runs
+            ],
+        },
+        "environment": {
+            "date": datetime.now(UTC).isoformat(timespec="seconds"),
+            "wkernels": __version__,
+            "git": git_commit(),
+            "python": platform.python_version(),
+            "platform": platform.platform(),
+            "cpu": cpu_model(),
+            "cores": os.cpu_count(),
+            "threads": engine.threads,
+            "device": engine.device,
+            "device_name": device_name(engine.device),
+            "packages": {name: package_version(name) for name in _PACKAGES},
+        },
+        "metrics": {metric.name: metric.version for metric in METRICS.values()},
+    }
+
+
+def _declared(cls: Any) -> dict[str, Any]:
+    paper = getattr(cls, "paper", ())
+    return {
+        "family": getattr(cls, "family", None),
+        "paper": [paper] if isinstance(paper, str) else list(paper),
+        "bias_sign": getattr(cls, "bias_sign", None),
+        "history": bool(getattr(getattr(cls, "needs", None), "history", False)),
+    }
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:16]
+
+
+def file_digest(path: str | Path) -> str:
+    """Short SHA-256 of a file's content."""
+    return _digest(Path(path).read_bytes())
+
+
+def package_version(name: str) -> str | None:
+    """Installed version of a distribution, None where it is not installed."""
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def cpu_model() -> str:
+    """The processor's name as the system gives it."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.lower().startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def device_name(device: str) -> str:
+    """The device's marketing name; the processor's for the CPU."""
+    if device == "cpu":
+        return cpu_model()
+    import warp as wp
+
+    return str(wp.get_device(device).name)
+
+
+def git_commit() -> str | None:
+    """Commit of the source tree that runs, with ``+changes`` where files differ from it; None outside a repository."""
+    root = Path(__file__).resolve().parent.parent
+
+    def git(*arguments: str) -> str:
+        done = subprocess.run(["git", "-C", str(root), *arguments], capture_output=True, text=True, check=True, timeout=10)
+        return done.stdout.strip()
+
+    try:
+        if Path(git("rev-parse", "--show-toplevel")) != root:  # installed inside somebody else's repository
+            return None
+        return git("rev-parse", "HEAD") + ("+changes" if git("status", "--porcelain") else "")
+    except (OSError, subprocess.SubprocessError):
+        return None

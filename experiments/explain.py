@@ -1,0 +1,151 @@
+"""``explain``: what an experiment will run, what it leaves out and why, told from declarations and scene facts alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from experiments.config.needs import unmet_need
+from experiments.metrics import METRICS
+
+if TYPE_CHECKING:
+    from experiments.config.schema import Experiment
+    from wkernels.scene import Scene
+
+
+def explain(experiment: Experiment, plugins: Mapping[str, type] | None = None) -> str:
+    """A text for people; renders nothing and loads no device.
+
+    Args:
+        experiment: The resolved experiment.
+        plugins: Technique classes by name; None finds those of the installed packages.
+    """
+    if plugins is None:
+        from algorithms.plugins import load_all
+
+        plugins = load_all()
+    scene = experiment.load_scene()
+    sections = [
+        ("Scene", _scene_lines(experiment, scene)),
+        ("What will run", _run_lines(experiment, plugins)),
+        ("Amount of work", _work_lines(experiment, plugins)),
+        ("Left out", _left_out_lines(experiment, scene, plugins)),
+    ]
+    parts = [f"Experiment {experiment.name} (walkthrough)"]
+    parts += [f"\n{title}\n" + "\n".join(f"  {line}" for line in lines) for title, lines in sections]
+    return "\n".join(parts)
+
+
+def _scene_lines(experiment: Experiment, scene: Scene) -> list[str]:
+    casters = [mesh for mesh in scene.meshes if mesh.casts]
+    triangles = sum(len(mesh.faces) for mesh in scene.meshes)
+    light = scene.lights[experiment.light]
+    if not light.has_area:
+        extent = "no area: all shadows are hard"
+    elif light.is_directional:
+        extent = f"{math.degrees(light.size):.3g} degrees wide"
+    else:
+        extent = f"size {light.size:.4g} scene units"
+    return [
+        f"{scene.name}: {len(scene.meshes)} meshes, {triangles:,} triangles, {len(casters)} meshes cast, "
+        f"{sum(mesh.receives for mesh in scene.meshes)} receive, {sum(mesh.moving for mesh in scene.meshes)} move",
+        f"light {experiment.light} of {len(scene.lights)}: {light.kind}, {extent}",
+        f"path of {scene.frames} frame{_s(scene.frames)}; {len(experiment.frames)} rendered: {_ranges(experiment.frames)}",
+    ]
+
+
+def _run_lines(experiment: Experiment, plugins: Mapping[str, type]) -> list[str]:
+    width = max(len(run.label) for run in experiment.runs)
+    lines = []
+    for run in experiment.runs:
+        cls: Any = plugins[run.name]
+        defaults = cls.Params().model_dump()
+        changed = ", ".join(f"{key}={value}" for key, value in run.params.items() if defaults.get(key) != value)
+        notes = [f"{cls.family}/{run.name}", changed or "all parameters at their defaults"]
+        if cls.needs.history:
+            notes.append("uses earlier frames")
+        if run.label == experiment.baseline:
+            notes.append("baseline of all costs")
+        lines.append(f"{run.label:<{width}}  {'; '.join(notes)}")
+    return lines
+
+
+def _work_lines(experiment: Experiment, plugins: Mapping[str, type]) -> list[str]:
+    labels, frames, repeats = len(experiment.runs), len(experiment.frames), experiment.repeats
+    image = experiment.image
+    pixels = image.width * image.height
+    warm = sum(min(frames, 2 if plugins[run.name].needs.history else 1) for run in experiment.runs)  # type: ignore[attr-defined]
+    lines = [
+        f"{labels * frames * repeats:,} timed renderings of {image.width} x {image.height}: {labels} label{_s(labels)} x "
+        f"{frames} frame{_s(frames)} x {repeats} repeat{_s(repeats)}, and {warm} untimed to warm up"
+    ]
+    if experiment.reference:
+        chosen = experiment.frames[:: experiment.reference.every]
+        rays = len(chosen) * pixels * experiment.reference.samples
+        lines.append(
+            f"reference on {len(chosen)} frame{_s(len(chosen))}: {_ranges(chosen)}; {experiment.reference.samples} light samples, "
+            f"at most {rays:,} rays; frames in the cache are not traced again"
+        )
+    asked = set(experiment.metrics) | {metric.name for metric in METRICS.values() if metric.always}
+    lines.append(f"metrics: {', '.join(name for name in METRICS if name in asked)}, m_x_max, m_z_max")
+    return lines
+
+
+def _left_out_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, type]) -> list[str]:
+    """Every line is (what: why); counts come with the run, in left_out.csv."""
+    lines = []
+    casters = [mesh for mesh in scene.meshes if mesh.casts]
+    light = scene.lights[experiment.light]
+    if not casters:
+        lines.append("depth maps, blocker searches and rays: no mesh casts, everything is lit")
+    elif not any(mesh.moving for mesh in casters) and len(experiment.frames) > 1:
+        lines.append("building depth maps and ray structures anew on later frames: no caster moves and neither does the light")
+    if len(experiment.frames) > 1 and _camera_rests(experiment, scene) and not any(mesh.moving for mesh in scene.meshes):
+        lines.append("drawing the G-buffer again on later frames: neither the camera nor a mesh moves")
+    if not any(mesh.receives for mesh in scene.meshes):
+        lines.append("all errors: no mesh receives shadows")
+    if experiment.reference is None:
+        names = [metric.title for metric in METRICS.values() if _needs_reference(metric.name)]
+        lines.append(f"{', '.join(names)}: there is no reference; their columns stay empty")
+    elif experiment.reference.every > 1 and len(experiment.frames) > 1:
+        lines.append(f"errors on the other frames: the reference is made on every {experiment.reference.every}th frame only")
+    lines += [
+        f"{METRICS[name].title}: not among the experiment's metrics"
+        for name in ("flip", "flicker")
+        if name not in experiment.metrics and (experiment.reference or not _needs_reference(name))
+    ]
+    used = {run.name for run in experiment.runs}
+    for name, cls in plugins.items():
+        if name not in used and (why := unmet_need(cls, scene, light)):
+            lines.append(f"technique {name}, which could not run here: {why}")
+    return lines or ["nothing that is known before rendering"]
+
+
+def _needs_reference(name: str) -> bool:
+    return name not in ("standard_error", "flicker")
+
+
+def _camera_rests(experiment: Experiment, scene: Scene) -> bool:
+    first = scene.camera(experiment.frames[0])
+    poses = (scene.camera(frame) for frame in experiment.frames)
+    return all(
+        np.array_equal(np.concatenate([p.eye, p.target, p.up]), np.concatenate([first.eye, first.target, first.up]))
+        for p in poses
+    )
+
+
+def _s(count: int) -> str:
+    return "" if count == 1 else "s"
+
+
+def _ranges(frames: Sequence[int]) -> str:
+    """Frame numbers, shortened where they are evenly spaced."""
+    if len(frames) <= 3:
+        return ", ".join(map(str, frames))
+    step = frames[1] - frames[0]
+    if all(b - a == step for a, b in zip(frames[:-1], frames[1:], strict=True)):
+        return f"{frames[0]}, {frames[1]}, ..., {frames[-1]}"
+    return ", ".join(map(str, frames))

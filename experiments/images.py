@@ -1,0 +1,113 @@
+"""Image files through OpenImageIO: raw float images for machines (EXR), views for people (PNG)."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from wkernels.errors import InputError
+
+NO_RECEIVER = (74, 80, 96)  # slate in views: a pixel without a receiver is neither lit nor dark
+ERROR_SCALE = "colour = sign(error) x sqrt(|error|), from -1 (darker than the reference) to +1 (lighter)"
+_ERROR_COLORS = "berlin"  # diverging with a dark middle, so that small errors stand out
+
+
+def write_exr(path: Path, image: np.ndarray, note: str = "") -> None:
+    """Writes float32 (H, W) losslessly, NaN included, as channel Y; the file appears whole or not at all."""
+    _write(path, image.astype(np.float32)[:, :, None], "float", {"compression": "zip", "ImageDescription": note})
+
+
+def write_png(path: Path, rgb: np.ndarray) -> None:
+    """Writes uint8 (H, W, 3)."""
+    _write(path, rgb, "uint8", {})
+
+
+def write_jpeg(path: Path, rgb: np.ndarray) -> None:
+    """Writes uint8 (H, W, 3) at quality 90, for pages that hold many pictures."""
+    _write(path, rgb, "uint8", {"compression": "jpeg:90"})
+
+
+def read_exr(path: Path) -> np.ndarray:
+    """The first channel, float32 (H, W).
+
+    Raises:
+        InputError: The file is missing or unreadable.
+    """
+    return np.ascontiguousarray(_read(path, "float")[:, :, 0])
+
+
+def read_png(path: Path) -> np.ndarray:
+    """uint8 (H, W, 3).
+
+    Raises:
+        InputError: The file is missing or unreadable.
+    """
+    return np.ascontiguousarray(_read(path, "uint8")[:, :, :3])
+
+
+def visibility_view(visibility: np.ndarray) -> np.ndarray:
+    """Grey picture, 0 = umbra = black, 1 = lit = white (linear in the pixel value); uint8 (H, W, 3)."""
+    with np.errstate(invalid="ignore"):
+        grey = np.rint(255.0 * np.clip(visibility, 0.0, 1.0))
+    out = np.repeat(np.nan_to_num(grey).astype(np.uint8)[:, :, None], 3, axis=2)
+    out[~np.isfinite(visibility)] = NO_RECEIVER
+    return out
+
+
+def shaded_view(color: np.ndarray) -> np.ndarray:
+    """sRGB picture of linear colours (H, W, 3), clipped at 1; uint8 (H, W, 3)."""
+    linear = np.clip(np.nan_to_num(color), 0.0, 1.0)
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.power(linear, 1.0 / 2.4) - 0.055)
+    return np.rint(255.0 * encoded).astype(np.uint8)
+
+
+def error_colors(error: np.ndarray) -> np.ndarray:
+    """Heat colours of signed errors in [-1, 1] on the scale ``ERROR_SCALE``; uint8 (..., 3)."""
+    from matplotlib import colormaps
+
+    place = 0.5 + 0.5 * np.sign(error) * np.sqrt(np.clip(np.abs(error), 0.0, 1.0))
+    return np.rint(255.0 * colormaps[_ERROR_COLORS](np.nan_to_num(place, nan=0.5))[..., :3]).astype(np.uint8)
+
+
+def error_view(visibility: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Heat map of ``visibility - reference`` on the scale ``ERROR_SCALE``, the same in every picture; uint8 (H, W, 3)."""
+    error = visibility - reference
+    out = error_colors(error)
+    out[~np.isfinite(error)] = NO_RECEIVER
+    return out
+
+
+def _write(path: Path, image: np.ndarray, kind: str, attributes: dict[str, str]) -> None:
+    import OpenImageIO as oiio
+
+    height, width, channels = image.shape
+    spec = oiio.ImageSpec(width, height, channels, kind)
+    if channels == 1:
+        spec.channelnames = ("Y",)
+    for name, value in attributes.items():
+        if value:
+            spec.attribute(name, value)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".part-{path.name}")
+    out = oiio.ImageOutput.create(str(part))
+    if out is None:
+        raise RuntimeError(f"OpenImageIO cannot write {path.suffix} files: {oiio.geterror()}")
+    done = out.open(str(part), spec) and out.write_image(np.ascontiguousarray(image)) and out.close()
+    if not done:
+        raise OSError(f"cannot write {path}: {out.geterror()}")
+    os.replace(part, path)
+
+
+def _read(path: Path, kind: str) -> np.ndarray:
+    import OpenImageIO as oiio
+
+    image = oiio.ImageInput.open(str(path))
+    if image is None:
+        raise InputError(f"cannot read the image ({oiio.geterror()}).", file=path)
+    pixels = image.read_image(kind)
+    image.close()
+    if pixels is None:
+        raise InputError(f"cannot read the image ({image.geterror()}).", file=path)
+    return np.asarray(pixels)

@@ -1,0 +1,296 @@
+"""Error measures of one visibility image, as a table of descriptors.
+
+Every metric is a number over *receiver pixels*: those where neither the visibility nor the reference is NaN. What cannot be
+measured is None, never 0. A descriptor carries a version, which is stored with the results and grows when its definition
+changes, so that numbers of different definitions are never mixed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+FLIP_PIXELS_PER_DEGREE = 67.02  # a 0.7 m wide 4K screen seen from 0.7 m, the value of the FLIP paper
+_MATCH = 0.1  # of the distance to the furthest of four pixels: across a depth edge at most this weight is from elsewhere
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What one frame of one label offers to the metrics.
+
+    Attributes:
+        visibility: (H, W), 1 = lit, NaN where no receiver is seen.
+        standard_error: (H, W) of the technique's light sampling; None for techniques that do not sample the light.
+        reference: (H, W) reference visibility of the same receiver points; None where none was made.
+        reference_standard_error: (H, W), goes with ``reference``.
+        previous: Visibility of the frame before, carried to this frame's receiver points, (H, W), NaN where these were not
+            seen or were moving; None on a first frame or where nothing asked for it.
+    """
+
+    visibility: np.ndarray
+    standard_error: np.ndarray | None = None
+    reference: np.ndarray | None = None
+    reference_standard_error: np.ndarray | None = None
+    previous: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One metric.
+
+    Attributes:
+        name: Column in frames.csv and key under ``metrics`` in an experiment file.
+        title: Name for axes and table heads.
+        description: What it measures, in one sentence.
+        unit: Unit of the number.
+        best: The value of a perfect image; larger distance from it is worse.
+        worst: The value furthest from ``best`` that can occur.
+        always: Whether it is computed without being asked for (whenever its inputs exist).
+        from_images: Whether the stored raw images of that frame suffice to compute it again.
+        version: Version of the definition.
+        evaluate: The function; None where an input is missing.
+    """
+
+    name: str
+    title: str
+    description: str
+    unit: str
+    best: float
+    worst: float
+    always: bool
+    from_images: bool
+    version: int
+    evaluate: Callable[[Measured], float | None]
+
+
+def signed_error(visibility: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """``visibility - reference`` at receiver pixels, float64 (N,); negative where too dark."""
+    error = visibility.astype(np.float64) - reference.astype(np.float64)
+    return error[np.isfinite(error)]
+
+
+def _over_errors(reduce: Callable[[np.ndarray], float]) -> Callable[[Measured], float | None]:
+    def evaluate(m: Measured) -> float | None:
+        if m.reference is None:
+            return None
+        error = signed_error(m.visibility, m.reference)
+        return float(reduce(error)) if len(error) else None
+
+    return evaluate
+
+
+def _root_mean_square(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _rms_of_finite(image: np.ndarray | None, where: np.ndarray) -> float | None:
+    if image is None:
+        return None
+    values = image[np.isfinite(image) & np.isfinite(where)].astype(np.float64)
+    return _root_mean_square(values) if len(values) else None
+
+
+def _standard_error(m: Measured) -> float | None:
+    return _rms_of_finite(m.standard_error, m.visibility)
+
+
+def _reference_standard_error(m: Measured) -> float | None:
+    return None if m.reference is None else _rms_of_finite(m.reference_standard_error, m.reference)
+
+
+def _flicker(m: Measured) -> float | None:
+    return None if m.previous is None else _rms_of_finite(m.visibility - m.previous, m.visibility)
+
+
+def flip_map(visibility: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """FLIP (andersson2020flip) of two visibility images shown as linear grey, float32 (H, W) in [0, 1].
+
+    The low-dynamic-range form, because visibility is in [0, 1]; its exposure does not depend on the image, so it is
+    defined for shadow masks, whose median is often 0. Pixels without a receiver in either image are equal in both.
+    """
+    import OpenImageIO as oiio
+
+    blank = ~(np.isfinite(visibility) & np.isfinite(reference))
+
+    def as_buffer(image: np.ndarray) -> oiio.ImageBuf:
+        grey = np.clip(np.where(blank, 1.0, image), 0.0, 1.0).astype(np.float32)
+        spec = oiio.ImageSpec(grey.shape[1], grey.shape[0], 3, "float")
+        spec.attribute("oiio:ColorSpace", "lin_rec709_scene")
+        buffer = oiio.ImageBuf(spec)
+        buffer.set_pixels(oiio.ROI(), np.ascontiguousarray(np.repeat(grey[:, :, None], 3, axis=2)))
+        return buffer
+
+    # One thread: measuring must not fight with the next timed frame for cores.
+    result = oiio.ImageBufAlgo.FLIP_diff(
+        as_buffer(reference), as_buffer(visibility), hdr=0, ppd=FLIP_PIXELS_PER_DEGREE, nthreads=1
+    )
+    if result.has_error:
+        raise RuntimeError(f"FLIP failed: {result.geterror()}")
+    return np.asarray(result.get_pixels(oiio.FLOAT))[:, :, 0]
+
+
+def _flip(m: Measured) -> float | None:
+    if m.reference is None:
+        return None
+    receiver = np.isfinite(m.visibility) & np.isfinite(m.reference)
+    if not receiver.any():
+        return None
+    return float(flip_map(m.visibility, m.reference)[receiver].mean(dtype=np.float64))
+
+
+METRICS: Mapping[str, Metric] = {
+    metric.name: metric
+    for metric in (
+        Metric(
+            "rmse",
+            "RMSE",
+            "Root mean square of visibility minus reference.",
+            "visibility",
+            best=0.0,
+            worst=1.0,
+            always=True,
+            from_images=True,
+            version=1,
+            evaluate=_over_errors(_root_mean_square),
+        ),
+        Metric(
+            "mean_signed_error",
+            "mean signed error",
+            "Mean of visibility minus reference; negative = darker than the reference.",
+            "visibility",
+            best=0.0,
+            worst=1.0,
+            always=True,
+            from_images=True,
+            version=1,
+            evaluate=_over_errors(np.mean),
+        ),
+        Metric(
+            "p99_error",
+            "p99 error",
+            "99th percentile of |visibility - reference|.",
+            "visibility",
+            best=0.0,
+            worst=1.0,
+            always=True,
+            from_images=True,
+            version=1,
+            evaluate=_over_errors(lambda error: float(np.percentile(np.abs(error), 99.0))),
+        ),
+        Metric(
+            "flip",
+            "FLIP",
+            f"Mean FLIP of visibility shown as linear grey, {FLIP_PIXELS_PER_DEGREE} pixels per degree.",
+            "FLIP",
+            best=0.0,
+            worst=1.0,
+            always=False,
+            from_images=True,
+            version=1,
+            evaluate=_flip,
+        ),
+        Metric(
+            "standard_error",
+            "standard error",
+            "Root mean square of the technique's own standard error; only techniques that sample the light have one.",
+            "visibility",
+            best=0.0,
+            worst=0.5,
+            always=True,
+            from_images=True,
+            version=1,
+            evaluate=_standard_error,
+        ),
+        Metric(
+            "reference_standard_error",
+            "reference standard error",
+            "Root mean square of the reference's standard error: what lies within twice of it cannot be told apart.",
+            "visibility",
+            best=0.0,
+            worst=0.5,
+            always=True,
+            from_images=True,
+            version=1,
+            evaluate=_reference_standard_error,
+        ),
+        Metric(
+            "flicker",
+            "flicker",
+            "Root mean square change of visibility since the frame before, at surface points seen in both.",
+            "visibility",
+            best=0.0,
+            worst=1.0,
+            always=False,
+            from_images=False,
+            version=1,
+            evaluate=_flicker,
+        ),
+    )
+}
+
+
+def evaluate(names: frozenset[str], measured: Measured) -> dict[str, float | None]:
+    """All metrics in ``names`` and those that are always on; the others, and what has no inputs, are None."""
+    return {
+        metric.name: metric.evaluate(measured) if metric.always or metric.name in names else None
+        for metric in METRICS.values()
+    }
+
+
+def distinguishable(difference: float | None, reference_standard_error: float | None) -> bool | None:
+    """Whether a difference of errors exceeds twice the reference's standard error; None where either is unknown."""
+    if difference is None or reference_standard_error is None:
+        return None
+    if not (np.isfinite(difference) and np.isfinite(reference_standard_error)):
+        return None
+    return bool(abs(difference) > 2.0 * reference_standard_error)
+
+
+def carry_over(
+    previous_visibility: np.ndarray,
+    previous_position_ws: np.ndarray,
+    previous_ws_to_ss: np.ndarray,
+    position_ws: np.ndarray,
+) -> np.ndarray:
+    """The previous frame's visibility at this frame's receiver points, found by reprojection.
+
+    Interpolates between the four previous pixels around a point, and only where the positions they saw interpolate to the
+    point itself. That leaves out disocclusions, silhouettes and meshes that moved, so that what remains is change of shadow.
+
+    Args:
+        previous_visibility: (H, W), NaN where no receiver was seen.
+        previous_position_ws: (H, W, 3), in the same world space as the other arguments.
+        previous_ws_to_ss: (4, 4), rows x, y, linear depth, w as in ``wkernels.views``.
+        position_ws: (H, W, 3) of this frame.
+
+    Returns:
+        float64 (H, W), NaN where there is no trustworthy match.
+    """
+    height, width = previous_visibility.shape
+    points = position_ws.reshape(-1, 3).astype(np.float64)
+    ss = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ previous_ws_to_ss.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = (0.5 + 0.5 * ss[:, 0] / ss[:, 3]) * width - 0.5
+        y = (0.5 - 0.5 * ss[:, 1] / ss[:, 3]) * height - 0.5
+        inside = (ss[:, 2] > 0.0) & (x >= 0.0) & (y >= 0.0) & (x <= width - 1) & (y <= height - 1)
+    out = np.full(len(points), np.nan)
+    if width < 2 or height < 2 or not inside.any():
+        return out.reshape(height, width)
+    x, y, points = x[inside], y[inside], points[inside]
+    column, row = np.minimum(x.astype(int), width - 2), np.minimum(y.astype(int), height - 2)
+    fraction_x, fraction_y = x - column, y - row
+    corners = [(row + dy, column + dx) for dy in (0, 1) for dx in (0, 1)]
+    near = np.stack([previous_position_ws[r, c].astype(np.float64) for r, c in corners])
+    weights = np.stack([
+        (1.0 - fraction_y) * (1.0 - fraction_x),
+        (1.0 - fraction_y) * fraction_x,
+        fraction_y * (1.0 - fraction_x),
+        fraction_y * fraction_x,
+    ])
+    miss = np.linalg.norm((weights[:, :, None] * near).sum(axis=0) - points, axis=1)
+    reach = np.linalg.norm(near - points, axis=2).max(axis=0)
+    seen = np.stack([previous_visibility[r, c].astype(np.float64) for r, c in corners])
+    out[inside] = np.where(miss <= _MATCH * reach, (weights * seen).sum(axis=0), np.nan)
+    return out.reshape(height, width)

@@ -1,0 +1,74 @@
+"""Pictures of a result folder as data URLs, so that a page needs no other file."""
+
+from __future__ import annotations
+
+import base64
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from experiments.images import error_colors, read_png, write_jpeg
+from experiments.store import Store, ViewKind
+
+MAX_FRAMES = 3  # a page of eight techniques then stays within a few megabytes
+MAX_WIDTH = 960  # pixels; larger pictures are shown by every second, third, ... pixel
+_KINDS: tuple[ViewKind, ...] = ("shaded", "visibility", "error")
+
+
+@dataclass(frozen=True)
+class PictureRow:
+    """One label's pictures of one frame, as data URLs; None where there is none."""
+
+    label: str
+    shaded: str | None
+    visibility: str | None
+    error: str | None
+
+
+@dataclass(frozen=True)
+class PictureFrame:
+    """One frame of the walkthrough: the reference first, then every label."""
+
+    frame: int
+    rows: list[PictureRow]
+
+
+def picture_frames(store: Store, labels: Sequence[str], wanted: Sequence[int]) -> list[PictureFrame]:
+    """Up to ``MAX_FRAMES`` of the frames ``wanted``, evenly spread, with whatever pictures the folder has of them."""
+    wanted = sorted(wanted)
+    count = min(MAX_FRAMES, len(wanted))
+    chosen = [wanted[i] for i in np.unique(np.linspace(0, len(wanted) - 1, count).round().astype(int))] if count else []
+    out = []
+    with tempfile.TemporaryDirectory(prefix="wkernels-report-") as folder:
+        scratch = Path(folder) / "picture.jpg"
+        for frame in chosen:
+            rows = []
+            for label in (None, *labels):
+                urls = {kind: _data_url(store.view(label, kind, frame), scratch) for kind in _KINDS}
+                if any(urls.values()):
+                    rows.append(PictureRow(label or "reference", urls["shaded"], urls["visibility"], urls["error"]))
+            out.append(PictureFrame(frame, rows))
+    return out
+
+
+def error_scale_css() -> tuple[str, list[tuple[float, str]]]:
+    """The error scale as a CSS gradient, and its ticks as (position in percent, text)."""
+    stops = []
+    for place in np.linspace(-1.0, 1.0, 33):
+        red, green, blue = error_colors(np.array([np.sign(place) * place * place]))[0]
+        stops.append(f"rgb({red} {green} {blue}) {50.0 + 50.0 * place:.3g}%")
+    ticks = [-1.0, -0.5, -0.25, -0.1, -0.02, 0.0, 0.02, 0.1, 0.25, 0.5, 1.0]
+    places = [(50.0 + 50.0 * float(np.sign(tick) * np.sqrt(abs(tick))), f"{tick:+g}" if tick else "0") for tick in ticks]
+    return f"linear-gradient(to right, {', '.join(stops)})", places
+
+
+def _data_url(path: Path, scratch: Path) -> str | None:
+    if not path.is_file():
+        return None
+    rgb = read_png(path)
+    step = -(-rgb.shape[1] // MAX_WIDTH)
+    write_jpeg(scratch, rgb[::step, ::step])
+    return "data:image/jpeg;base64," + base64.b64encode(scratch.read_bytes()).decode("ascii")

@@ -1,0 +1,162 @@
+"""``write_report``: summary.csv, plots and report.html of a result folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from experiments import summary
+from experiments.images import ERROR_SCALE
+from experiments.metrics import METRICS
+from experiments.report import plots
+from experiments.report.pictures import error_scale_css, picture_frames
+from experiments.store import Store, write_text
+from wkernels.errors import InputError
+
+_PAPER = ("png", "svg", "pdf")
+_SCREEN = ("png", "svg")
+
+
+def write_report(out: str | Path) -> Path:
+    """Writes summary.csv, plots/ and report.html from what a result folder holds; renders nothing.
+
+    An interrupted run gives a report of what is there.
+
+    Returns:
+        Path of report.html, one file that needs no other.
+
+    Raises:
+        InputError: ``out`` is no result folder, has no frames yet, or cannot be written.
+    """
+    store = Store.existing(out)
+    frames = summary.load_frames(store)
+    if frames.empty:
+        raise InputError("has no rows yet; there is nothing to report.", file=store.out / "frames.csv")
+    try:
+        table = summary.write_summary(store.out)
+        passes = summary.load_passes(store)
+        figures = _draw(frames, passes, table)
+        for name, (figure, suffixes) in figures.items():
+            plots.save(figure, store.out / "plots" / name, suffixes)
+        svgs = {name: Markup(plots.inline_svg(figure)) for name, (figure, _) in figures.items()}
+        write_text(store.out / "report.html", _page(store, frames, passes, table, svgs))
+    except OSError as error:
+        raise InputError(f"the report cannot be written ({error.strerror or error}).", file=store.out) from error
+    return store.out / "report.html"
+
+
+def _draw(frames: pd.DataFrame, passes: pd.DataFrame, table: pd.DataFrame) -> dict[str, tuple[Figure, tuple[str, ...]]]:
+    labels = list(table["label"])
+    look = plots.Look(labels)
+    out: dict[str, tuple[Figure, tuple[str, ...]]] = {
+        "error_vs_time": (plots.error_vs_time(table, look), _PAPER),
+        "fps": (plots.per_frame(frames, look, "fps", "frames per second", log=True), _SCREEN),
+        "error_per_frame": (
+            plots.per_frame(frames, look, "rmse", "RMSE of visibility", log=True, sparse=True),
+            _SCREEN,
+        ),
+        "frame_ms": (plots.frame_times(frames, look), _SCREEN),
+    }
+    if not passes.empty:
+        out["passes"] = (plots.pass_times(passes, labels), _SCREEN)
+    if frames["m_x_max"].notna().any() and frames["frame"].nunique() > 1:
+        title = "largest aliasing error m_x along the view"
+        out["aliasing_per_frame"] = (plots.per_frame(frames, look, "m_x_max", title, log=True), _SCREEN)
+    return out
+
+
+def _page(store: Store, frames: pd.DataFrame, passes: pd.DataFrame, table: pd.DataFrame, svgs: dict[str, Markup]) -> str:
+    environment = store.environment()
+    run = environment["run"]
+    labels = list(table["label"])
+    with_images = sorted({frame for label in labels for frame in store.image_frames(label)})
+    with_errors = set(frames.loc[frames["rmse"].notna(), "frame"].astype(int))
+    all_pictures = [frame for frame in with_images if frame in with_errors] or with_images
+    gradient, ticks = error_scale_css()
+    shown_metrics = [metric for metric in METRICS.values() if table[metric.name].notna().any()]
+    page = Environment(
+        loader=PackageLoader("experiments.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    page.filters["number"] = number
+    page.filters["plain"] = _plain
+    return page.get_template("report.html").render(
+        run=run,
+        environment=environment["environment"],
+        identity=environment["identity"],
+        metric_versions=environment["metrics"],
+        expected=len(run["labels"]) * len(run["frames"]),
+        stored=len(frames),
+        headline=headline(table, run["baseline"]),
+        summary=table.to_dict("records"),
+        metrics=shown_metrics,
+        papers={entry["label"]: ", ".join(entry["paper"]) for entry in run["labels"]},
+        svgs=svgs,
+        pictures=picture_frames(store, labels, all_pictures),
+        picture_frames=all_pictures,
+        error_scale=ERROR_SCALE,
+        error_gradient=Markup(gradient),  # made of numbers only
+        error_ticks=ticks,
+        passes=_pass_shares(passes, labels),
+        left_out=summary.load_left_out(store).to_dict("records"),
+        failures=store.rows("failures"),
+        config=(store.out / "config.yaml").read_text(encoding="utf-8"),
+    )
+
+
+def headline(table: pd.DataFrame, baseline: str) -> list[str]:
+    """What a reader should take away, in sentences, from a summary as ``summarise`` gives it."""
+    out = []
+    fastest = table.loc[table["frame_ms"].idxmin()]
+    out.append(f"Fastest: {fastest['label']}, {number(fastest['frame_ms'])} ms per frame.")
+    measured = table[table["rmse"].notna()]
+    if measured.empty:
+        return [*out, "No reference frame was made, so errors are unknown."]
+    best = measured.loc[measured["rmse"].idxmin()]
+    ratio = "" if best["label"] == baseline else f", {number(best['frame_ms_ratio'])} times the cost of {baseline}"
+    error = f"RMSE {number(best['rmse'])}"
+    out.append(f"Most accurate: {best['label']}, {error} at {number(best['frame_ms'])} ms{ratio}.")
+    front = measured[measured["pareto"]].sort_values("frame_ms")["label"]
+    out.append(f"Worth their time, from cheap to accurate (Pareto front): {', '.join(front)}.")
+    same = [str(row["label"]) for row in measured.to_dict("records") if row["distinguishable"] is False]
+    if same:
+        out.append(f"Not distinguishable from the reference at its number of samples: {', '.join(same)}.")
+    return out
+
+
+def number(value: Any, digits: int = 3) -> str:
+    """A number for people: three significant digits, empty where unknown."""
+    if value is None or not np.isfinite(value):
+        return ""
+    if value == 0.0:
+        return "0"
+    size = abs(float(value))
+    if 1e-4 <= size < 1e6:
+        decimals = max(0, digits - 1 - int(np.floor(np.log10(size))))
+        return f"{value:.{decimals}f}"
+    return f"{value:.{digits - 1}e}"
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_plain(item)}" for key, item in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(_plain(item) for item in value)
+    return "" if value is None else str(value)
+
+
+def _pass_shares(passes: pd.DataFrame, labels: list[str]) -> list[tuple[str, list[tuple[str, float, float]]]]:
+    """Per label: (pass, mean ms per frame, share of the frame in percent), in order of first use."""
+    out = []
+    for label in labels:
+        own = passes[passes["label"] == label]
+        frames = max(1, own["frame"].nunique())
+        sums = own.groupby("pass", sort=False)["ms"].sum() / frames
+        total = float(sums.sum()) or 1.0
+        out.append((label, [(str(name), float(ms), 100.0 * float(ms) / total) for name, ms in sums.items()]))
+    return out

@@ -1,0 +1,329 @@
+"""Runs a walkthrough: every label on every frame, interleaved, timed by the same rules, stored as it happens.
+
+Order of work, the same in every run: for each frame, ``repeats`` times, each label in file order (A B C A B C); then every
+label commits its history. A row holds medians over the repeats. Warm-up (compile, load, first touch of memory) comes before
+the first frame and is never timed.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+
+from experiments import metrics
+from experiments.engine import Engine, FrameLike, SessionLike, WarpEngine
+from experiments.environment import describe_run
+from experiments.images import error_view, shaded_view, visibility_view, write_exr, write_png
+from experiments.store import Store, write_text
+from wkernels.errors import InputError
+
+if TYPE_CHECKING:
+    from experiments.config.schema import Experiment
+    from experiments.config.techniques import TechniqueRun
+
+
+class Progress(Protocol):
+    """Is told what happens; ``done`` of ``total`` frames (label and frame pairs) are stored."""
+
+    def __call__(self, done: int, total: int, what: str) -> None:
+        """Called before each piece of work that takes time, and at the end."""
+
+
+class TechniquesFailed(RuntimeError):
+    """Some techniques raised while rendering; everything else was run and stored, report included.
+
+    Attributes:
+        out: The result folder.
+        labels: The labels that failed.
+    """
+
+    def __init__(self, out: Path, rows: list[dict[str, str]]) -> None:
+        self.out = out
+        self.labels = tuple(row["label"] for row in rows)
+        first = rows[0]
+        more = f" ({len(rows) - 1} more in {out / 'failures.csv'})" if len(rows) > 1 else ""
+        super().__init__(
+            f"'{first['label']}' failed on frame {first['frame']}: {first['error']}{more}. "
+            f"Tracebacks are in {out / 'failures'}, the other results in {out}."
+        )
+
+
+class Timing(NamedTuple):
+    """Times of one rendering of one frame, milliseconds; see ``wkernels.frame.FrameResult``."""
+
+    frame_ms: float
+    shadow_ms: float
+    passes: list[tuple[str, float]]
+
+
+@dataclass(eq=False)
+class _Lane:
+    """One label on its way through the frames."""
+
+    run: TechniqueRun
+    history: bool
+    todo: set[int]
+    failed: bool = False
+    session: SessionLike | None = None
+    technique: Any = None
+    timings: list[Timing] = field(default_factory=list)
+    result: FrameLike | None = None
+    before: tuple[int, np.ndarray, np.ndarray] | None = None  # frame, visibility, positions; kept for flicker only
+
+    @property
+    def label(self) -> str:
+        return self.run.label
+
+    def replays(self, frame: int, next_frame: int) -> bool:
+        """Whether a frame that is stored already must be rendered again, untimed, for the sake of a later one.
+
+        Methods with history need all earlier frames. The others need only the one before: what stays the same between two
+        frames is not built again, and a row must not depend on whether the run was interrupted there.
+        """
+        if self.failed or not self.todo or frame in self.todo:
+            return False
+        return next_frame in self.todo or (self.history and frame < max(self.todo))
+
+
+def run(
+    experiment: Experiment,
+    out: str | Path,
+    *,
+    device: str = "cpu",
+    threads: int | None = None,
+    resume: bool = False,
+    skips: bool = True,
+    plugins: Mapping[str, type] | None = None,
+    progress: Progress | None = None,
+    engine: Engine | None = None,
+    report: bool = True,
+) -> Path:
+    """Runs an experiment and writes its result folder (DESIGN section 6).
+
+    Args:
+        experiment: The resolved experiment.
+        out: Result folder; created where missing.
+        device: ``cpu`` or a CUDA device.
+        threads: CPU threads; None for all.
+        resume: Continue an interrupted run of the same experiment; rows that are there are kept.
+        skips: Whether work that the scene cannot need may be left out.
+        plugins: Technique classes by name; None finds those of the installed packages.
+        progress: Is told what happens.
+        engine: Renderer to use instead of ``WarpEngine``, which the arguments above configure.
+        report: Whether to write summary.csv, plots and report.html at the end.
+
+    Returns:
+        The result folder.
+
+    Raises:
+        InputError: Wrong input, before anything is rendered; or a technique refuses its input in the warm-up.
+        TechniquesFailed: At the end, if a technique raised; the others are complete.
+        KeyboardInterrupt: Passed on; all complete rows are kept and the run can be resumed.
+    """
+    from experiments.report import write_report
+    from experiments.summary import write_summary
+
+    if engine is None:
+        engine = WarpEngine(experiment, device=device, threads=threads, skips=skips, plugins=plugins)
+    environment = describe_run(experiment, engine, skips=skips)
+    store = Store.open(out, experiment.to_yaml(), environment, resume=resume)
+    tell = progress or (lambda done, total, what: None)
+    walkthrough = _Walkthrough(experiment, engine, store, tell)
+    try:
+        store.start_tables()
+        walkthrough.render_all()
+    finally:
+        store.close()
+    if report:
+        tell(walkthrough.done, walkthrough.total, "writing the report")
+        if store.rows("frames"):
+            write_report(store.out)
+        else:
+            write_summary(store.out)
+    tell(walkthrough.done, walkthrough.total, "done")
+    failures = store.rows("failures")
+    if failures:
+        raise TechniquesFailed(store.out, failures)
+    return store.out
+
+
+class _Walkthrough:
+    def __init__(self, experiment: Experiment, engine: Engine, store: Store, tell: Progress) -> None:
+        self.experiment, self.engine, self.store, self.tell = experiment, engine, store, tell
+        stored = store.done()
+        failed = {row["label"] for row in store.rows("failures")}
+        self.lanes = [
+            _Lane(
+                run=run,
+                history=bool(getattr(getattr(engine.plugins[run.name], "needs", None), "history", False)),
+                todo={frame for frame in experiment.frames if (run.label, frame) not in stored},
+                failed=run.label in failed,
+            )
+            for run in experiment.runs
+        ]
+        self.total = len(experiment.runs) * len(experiment.frames)
+        self.done = len(stored)
+        self.wants_flicker = "flicker" in experiment.metrics
+        reference = experiment.reference
+        self.reference_frames = set(experiment.frames[:: reference.every]) if reference else set()
+
+    # ---- Rendering ----
+
+    def render_all(self) -> None:
+        for lane in self.lanes:
+            if lane.todo and not lane.failed:
+                self.tell(self.done, self.total, f"compiling and warming up {lane.label}")
+                self._warm_up(lane)
+        frames = self.experiment.frames
+        for frame, next_frame in zip(frames, [*frames[1:], -1], strict=True):
+            timed = [lane for lane in self.lanes if frame in lane.todo and not lane.failed]
+            replayed = [lane for lane in self.lanes if lane.replays(frame, next_frame)]
+            if timed:
+                self._render_timed(frame, timed)
+            for lane in replayed:
+                self.tell(self.done, self.total, f"frame {frame}, {lane.label} again, for the frames after it")
+                self._attempt(lane, frame)
+                self._commit(lane, frame)
+
+    def _warm_up(self, lane: _Lane) -> None:
+        """Renders the first frame (with history: the second too, whose kernels differ) and forgets it."""
+        try:
+            lane.session, lane.technique = self.engine.open(lane.run)
+            for frame in self.experiment.frames[: 2 if lane.history else 1]:
+                lane.session.begin(frame)
+                lane.session.render(lane.technique)
+                lane.session.advance()
+            lane.session.reset()
+        except InputError:
+            raise
+        except Exception as error:
+            self._fail(lane, self.experiment.frames[0], error)
+
+    def _render_timed(self, frame: int, lanes: list[_Lane]) -> None:
+        reference = None
+        if frame in self.reference_frames:
+            self.tell(self.done, self.total, f"frame {frame}, reference")
+            reference = self.engine.reference(frame)
+            self._store_reference(frame, reference)
+        for _ in range(self.experiment.repeats):
+            for lane in lanes:
+                if not lane.failed:
+                    self.tell(self.done, self.total, f"frame {frame}, {lane.label}")
+                    self._attempt(lane, frame)
+        for lane in lanes:
+            if not lane.failed:
+                self._store(lane, frame, reference)
+                self._commit(lane, frame)
+
+    def _attempt(self, lane: _Lane, frame: int) -> None:
+        assert lane.session is not None
+        try:
+            lane.session.begin(frame)
+            result = lane.result = lane.session.render(lane.technique)
+            lane.timings.append(Timing(result.frame_ms, result.shadow_ms, result.passes))
+        except Exception as error:
+            self._fail(lane, frame, error)
+
+    def _commit(self, lane: _Lane, frame: int) -> None:
+        if lane.failed or lane.session is None or lane.result is None:
+            return
+        lane.session.advance()
+        if self.wants_flicker:
+            lane.before = (frame, lane.result.visibility, lane.result.world_position)
+        lane.timings, lane.result = [], None
+
+    def _fail(self, lane: _Lane, frame: int, error: Exception) -> None:
+        """Records a failure; the label is left out from here on and its memory is given back."""
+        lane.failed = True
+        lane.session = lane.technique = lane.before = lane.result = None
+        lane.timings = []
+        short = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        folder = self.store.out / "failures"
+        folder.mkdir(exist_ok=True)
+        write_text(folder / f"{lane.label}.txt", "".join(traceback.format_exception(error)))
+        row = {"technique": lane.run.name, "label": lane.label, "frame": frame, "error": short}
+        self.store.append("failures", [row])
+
+    # ---- Storing ----
+
+    def _store(self, lane: _Lane, frame: int, reference: tuple[np.ndarray, np.ndarray] | None) -> None:
+        result = lane.result
+        assert result is not None
+        key = {"technique": lane.run.name, "label": lane.label, "frame": frame}
+        if reference is not None or frame == self.experiment.frames[-1]:
+            self._store_images(lane.label, frame, result, reference)
+        self.store.append("passes", [{**key, "pass": name, "ms": ms} for name, ms in pass_medians(lane.timings)])
+        left_out = [
+            {"label": lane.label, "frame": frame, "what": what, "reason": reason, "count": count}
+            for what, reason, count in result.left_out
+        ]
+        self.store.append("left_out", left_out)
+        measured = metrics.Measured(
+            visibility=result.visibility,
+            standard_error=result.standard_error,
+            reference=reference[0] if reference else None,
+            reference_standard_error=reference[1] if reference else None,
+            previous=self._previous(lane, result),
+        )
+        self.store.append("frames", [{
+            **key,
+            **timing_columns(lane.timings),
+            **metrics.evaluate(frozenset(self.experiment.metrics), measured),
+            "m_x_max": result.m_x_max,
+            "m_z_max": result.m_z_max,
+            "receiver_pixels": int(np.isfinite(result.visibility).sum()),
+        }])
+        lane.todo.discard(frame)
+        self.done += 1
+
+    def _previous(self, lane: _Lane, result: FrameLike) -> np.ndarray | None:
+        if lane.before is None:
+            return None
+        frame, visibility, position_ws = lane.before
+        return metrics.carry_over(visibility, position_ws, self.engine.ws_to_ss(frame), result.world_position)
+
+    def _store_reference(self, frame: int, reference: tuple[np.ndarray, np.ndarray]) -> None:
+        visibility, standard_error = reference
+        write_exr(self.store.raw(None, "visibility", frame), visibility, f"reference visibility, frame {frame}")
+        write_exr(self.store.raw(None, "standard_error", frame), standard_error, f"reference standard error, frame {frame}")
+        write_png(self.store.view(None, "visibility", frame), visibility_view(visibility))
+
+    def _store_images(
+        self, label: str, frame: int, result: FrameLike, reference: tuple[np.ndarray, np.ndarray] | None
+    ) -> None:
+        store = self.store
+        write_exr(store.raw(label, "visibility", frame), result.visibility, f"visibility, {label}, frame {frame}")
+        if result.standard_error is not None:
+            note = f"standard error, {label}, frame {frame}"
+            write_exr(store.raw(label, "standard_error", frame), result.standard_error, note)
+        write_png(store.view(label, "visibility", frame), visibility_view(result.visibility))
+        write_png(store.view(label, "shaded", frame), shaded_view(result.color))
+        if reference is not None:
+            write_png(store.view(label, "error", frame), error_view(result.visibility, reference[0]))
+
+
+def timing_columns(timings: list[Timing]) -> dict[str, float]:
+    """Medians and quartiles of a frame's repeats, milliseconds, as columns of frames.csv."""
+    out: dict[str, float] = {}
+    for name in ("frame_ms", "shadow_ms"):
+        q1, median, q3 = np.percentile([getattr(timing, name) for timing in timings], [25, 50, 75])
+        out[name], out[f"{name}_q1"], out[f"{name}_q3"] = float(median), float(q1), float(q3)
+    out["fps"] = 1000.0 / out["frame_ms"] if out["frame_ms"] > 0.0 else float("nan")
+    return out
+
+
+def pass_medians(timings: list[Timing]) -> list[tuple[str, float]]:
+    """Median milliseconds per pass over the repeats, in order of first use; a repeat without the pass counts as 0."""
+    totals: list[dict[str, float]] = []
+    for timing in timings:
+        spent: dict[str, float] = {}
+        for name, ms in timing.passes:
+            spent[name] = spent.get(name, 0.0) + ms
+        totals.append(spent)
+    names = dict.fromkeys(name for spent in totals for name in spent)
+    return [(name, float(np.median([spent.get(name, 0.0) for spent in totals]))) for name in names]

@@ -1,0 +1,5 @@
+"""Scene files (YAML or the same keys as a dict) to ``wkernels.scene.Scene``: meshes, lights, camera paths."""
+
+from experiments.scenes.loader import load_scene, scene_from_source
+
+__all__ = ["load_scene", "scene_from_source"]

@@ -1,0 +1,161 @@
+"""The camera of a scene and its path: keyframes, an orbit, or a file of keyframes."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from experiments.config.source import load_yaml, validate
+from experiments.scenes.place import Place
+from experiments.scenes.poses import check_order
+from experiments.scenes.schema import CameraKeyframe, CameraOptions, Orbit, PathOptions
+from wkernels.errors import InputError
+from wkernels.scene import Camera
+
+_COLUMNS = ("frame", "eye_x", "eye_y", "eye_z", "target_x", "target_y", "target_z")
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPath:
+    """A camera at every frame.
+
+    Attributes:
+        eye_target: Maps frame numbers (n,) to eyes and targets, float64 (n, 6); holds its ends.
+        options: What does not change along the path.
+    """
+
+    eye_target: Callable[[np.ndarray], np.ndarray]
+    options: CameraOptions
+
+    def __call__(self, frame: int) -> Camera:
+        """The camera at a frame index; indices outside the path hold its ends."""
+        eye_target = self.eye_target(np.array([frame], np.float64))[0]
+        o = self.options
+        return Camera(eye_target[:3], eye_target[3:], np.array(o.up), o.fov_deg, o.near, o.far)
+
+
+def camera_path(camera: CameraOptions, path: PathOptions | None, place: Place) -> tuple[CameraPath, int]:
+    """The camera of a scene whose file is at ``place``, and the number of frames of its path.
+
+    Raises:
+        InputError: No eye or target, several or no paths, keyframes out of order, ``far <= near``, an eye on its
+            target.
+    """
+    if not camera.near < camera.far:
+        raise place.at("camera", "far").error(f"must be greater than near ({camera.near}), not {camera.far}.")
+    if path is None:
+        if camera.eye is None or camera.target is None:
+            missing = "eye" if camera.eye is None else "target"
+            raise place.at("camera").error(f"{missing} is required where the scene has no path.")
+        out, frames = CameraPath(_still(camera.eye, camera.target), camera), 1
+    else:
+        eye_target, frames = _path(path, place.at("path"))
+        out = CameraPath(eye_target, camera)
+    eyes_targets = out.eye_target(np.arange(frames, dtype=np.float64))
+    distance = np.linalg.norm(eyes_targets[:, 3:] - eyes_targets[:, :3], axis=1)
+    for frame in np.flatnonzero(~(distance > 0.0))[:1]:
+        raise place.at("camera" if path is None else "path").error(f"the eye lies on the target at frame {frame}.")
+    return out, frames
+
+
+def _still(eye: tuple[float, ...], target: tuple[float, ...]) -> Callable[[np.ndarray], np.ndarray]:
+    row = np.array([*eye, *target])
+    return lambda frame: np.tile(row, (len(frame), 1))
+
+
+def _path(path: PathOptions, place: Place) -> tuple[Callable[[np.ndarray], np.ndarray], int]:
+    given = [key for key in ("keyframes", "orbit", "file") if getattr(path, key) is not None]
+    if len(given) != 1:
+        found = f"not {' and '.join(given)}" if given else "there is none"
+        raise place.error(f"needs exactly one of keyframes, orbit and file, {found}.")
+    if path.orbit is not None:
+        if path.frames is None:
+            raise place.at("frames").error("is required for an orbit.")
+        return _orbit(path.orbit, path.frames), path.frames
+    if path.keyframes is not None:
+        keys = path.keyframes
+        check_order([key.frame for key in keys], place.at("keyframes"))
+    else:
+        keys = _read_keyframes(str(path.file), place.at("file"))
+    frames = path.frames or keys[-1].frame + 1
+    if frames < 1:
+        raise place.error("the last keyframe lies before frame 0.")
+    return _catmull_rom(keys), frames
+
+
+def _catmull_rom(keys: list[CameraKeyframe]) -> Callable[[np.ndarray], np.ndarray]:
+    """Exact at the keyframes, with the slope between a key's neighbours there (Catmull and Rom 1974, uneven knots)."""
+    at = np.array([key.frame for key in keys], np.float64)
+    values = np.array([[*key.eye, *key.target] for key in keys])
+    if len(keys) == 1:
+        return _still(keys[0].eye, keys[0].target)
+    before, after = np.maximum(np.arange(len(at)) - 1, 0), np.minimum(np.arange(len(at)) + 1, len(at) - 1)
+    slopes = (values[after] - values[before]) / (at[after] - at[before])[:, None]
+    spline = CubicHermiteSpline(at, values, slopes)
+    return lambda frame: np.asarray(spline(np.clip(frame, at[0], at[-1])))
+
+
+def _orbit(orbit: Orbit, frames: int) -> Callable[[np.ndarray], np.ndarray]:
+    centre = np.array(orbit.center)
+
+    def eye_target(frame: np.ndarray) -> np.ndarray:
+        # The last frame is one step short of `degrees`, so that a full turn repeats without a stutter.
+        turn = np.radians(orbit.start_deg + orbit.degrees * np.clip(frame, 0, frames - 1) / frames)
+        height = np.full(len(frame), orbit.height)
+        offset = np.stack([orbit.radius * np.sin(turn), height, orbit.radius * np.cos(turn)], axis=1)
+        return np.concatenate([centre + offset, np.tile(centre, (len(frame), 1))], axis=1)
+
+    return eye_target
+
+
+def _read_keyframes(name: str, place: Place) -> list[CameraKeyframe]:
+    path = place.existing_file(name)
+    if path.suffix.lower() == ".json":  # JSON is YAML, and the YAML reader knows the lines
+        source = load_yaml(path)
+        if not isinstance(source.data, list) or not source.data:
+            raise source.error("must be a list of {frame, eye, target}.")
+        keys = [validate(CameraKeyframe, source, (i,)) for i in range(len(source.data))]
+        check_order([key.frame for key in keys], Place(source, path.parent))
+        return keys
+    if path.suffix.lower() != ".csv":
+        raise place.error(f"a path file must be .csv or .json, not '{path.name}'.")
+    keys = []
+    with path.open(newline="", encoding="utf-8-sig") as lines:
+        reader = csv.reader(lines)
+        try:
+            for row in reader:
+                if not any(cell.strip() for cell in row) or (not keys and row[0].strip() == _COLUMNS[0]):
+                    continue
+                keys.append(_csv_keyframe(row, str(path), reader.line_num, keys))
+        except (csv.Error, UnicodeDecodeError) as error:
+            raise InputError(f"cannot be read: {error}.", file=path, line=reader.line_num + 1) from None
+    if not keys:
+        raise InputError("has no keyframes.", file=path)
+    return keys
+
+
+def _csv_keyframe(row: list[str], file: str, line: int, before: list[CameraKeyframe]) -> CameraKeyframe:
+    if len(row) != len(_COLUMNS):
+        raise InputError(
+            f"must have the {len(_COLUMNS)} columns {', '.join(_COLUMNS)}, not {len(row)}.", file=file, line=line
+        )
+    values = []
+    for column, cell in zip(_COLUMNS, row, strict=True):
+        try:
+            values.append(float(cell))
+        except ValueError:
+            raise InputError(f"must be a number, not {cell!r}.", file=file, line=line, key=column) from None
+        if not math.isfinite(values[-1]):
+            raise InputError(f"must be a finite number, not {cell.strip()}.", file=file, line=line, key=column)
+    if values[0] != int(values[0]):
+        raise InputError(f"must be a whole number, not {row[0]!r}.", file=file, line=line, key="frame")
+    if before and values[0] <= before[-1].frame:
+        message = f"keyframes must come in rising order, {int(values[0])} follows {before[-1].frame}."
+        raise InputError(message, file=file, line=line, key="frame")
+    eye, target = (values[1], values[2], values[3]), (values[4], values[5], values[6])
+    return CameraKeyframe(frame=int(values[0]), eye=eye, target=target)

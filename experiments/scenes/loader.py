@@ -1,0 +1,153 @@
+"""Reads a scene file: every mesh, light and camera key is checked, resolved and put into a ``wkernels.scene.Scene``."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.config.source import Source, from_dict, load_yaml
+from experiments.scenes import generators, primitives, schema
+from experiments.scenes.cameras import camera_path
+from experiments.scenes.files import read_triangles
+from experiments.scenes.lights import build_light
+from experiments.scenes.place import Place, misspelt
+from experiments.scenes.poses import KeyframedPose, pose
+from wkernels.errors import nearest
+from wkernels.lights import Light
+from wkernels.scene import Camera, Mesh, Scene
+
+_DIFFUSE = (0.8, 0.8, 0.8)
+
+
+def load_scene(source: str | Path | Mapping[str, Any], *, base: Path | None = None) -> Scene:
+    """Reads a scene (DESIGN.md section 4).
+
+    Args:
+        source: A YAML file, or its keys as a dict.
+        base: Folder that relative file names are looked up in; default: the folder of the YAML file, for a dict the
+            current folder.
+
+    Raises:
+        InputError: Anything in the scene is wrong; names file, line and key.
+    """
+    if isinstance(source, Mapping):
+        return scene_from_source(from_dict(source), base=base or Path())
+    return scene_from_source(load_yaml(source), base=base or Path(source).parent, name=Path(source).stem)
+
+
+def scene_from_source(source: Source, loc: tuple[str | int, ...] = (), *, base: Path, name: str | None = None) -> Scene:
+    """The scene at ``loc`` of a source that is read already; ``name`` defaults to that of its first generator."""
+    place = Place(source, base, loc)
+    scene_file = place.validated(schema.SceneFile)
+    meshes: list[Mesh] = []
+    for i in range(len(scene_file.meshes)):
+        _add_meshes(meshes, place.at("meshes", i))
+    lights = tuple(build_light(place.at("lights", i)) for i in range(len(scene_file.lights)))
+    camera, frames = camera_path(scene_file.camera, scene_file.path, place)
+    if name is None:
+        generated = [m["generate"] for m in scene_file.meshes if "generate" in m]
+        name = str(generated[0]) if generated else "scene"
+    cameras = [camera(frame) for frame in range(frames)]
+    digest = content_hash(meshes, lights, cameras)
+    return Scene(name, tuple(meshes), lights, camera, frames, digest)
+
+
+def _add_meshes(meshes: list[Mesh], place: Place) -> None:
+    """Appends what one entry of ``meshes`` stands for: one mesh, or all parts of a generator."""
+    kind = _mesh_kind(place)
+    if kind == "generate":
+        name = place.data["generate"]
+        if not isinstance(name, str) or name not in generators.names():
+            raise place.at("generate").error(f"{name!r} is not a generator." + nearest(str(name), generators.names()))
+        options: schema.MeshOptions = place.validated(generators.parameters_model(name))
+        prefix = f"{options.name}/" if options.name else ""
+        parts = [replace(part, name=prefix + part.name) for part in generators.run(options)]
+    elif kind == "file":
+        options = file_options = place.validated(schema.MeshFile)
+        default = Path(file_options.file.removeprefix("warp:")).stem
+        parts = [Mesh(options.name or default, *read_triangles(file_options.file, place.at("file")))]
+    else:
+        options = place.validated(place.choice("primitive", schema.PRIMITIVES))
+        parts = [Mesh(options.name or place.data["primitive"], *primitives.triangulate(options))]
+    object_to_ws = pose(options.transform, options.motion, place)
+    moving = isinstance(object_to_ws, KeyframedPose) and object_to_ws.moving
+    taken = {mesh.name for mesh in meshes}
+    if options.name is not None and any(part.name in taken for part in parts):
+        raise place.at("name").error(f"another mesh has the name '{options.name}' already.")
+    for part in parts:
+        name = _free_name(part.name, taken)
+        taken.add(name)
+        diffuse = options.diffuse or (_DIFFUSE if kind != "generate" else part.diffuse)
+        meshes.append(
+            replace(
+                part,
+                name=name,
+                diffuse=diffuse,
+                casts=options.casts and part.casts,
+                receives=options.receives and part.receives,
+                object_to_ws=object_to_ws,
+                moving=moving,
+            )
+        )
+
+
+def _mesh_kind(place: Place) -> str:
+    kinds = ("primitive", "file", "generate")
+    data = place.data
+    given = [kind for kind in kinds if isinstance(data, dict) and kind in data]
+    if len(given) == 1:
+        return given[0]
+    if given:
+        raise place.at(given[1]).error(f"a mesh has only one of {', '.join(kinds)}, not {' and '.join(given)}.")
+    if isinstance(data, dict):
+        for kind in kinds:
+            wrong = misspelt(kind, data)
+            if wrong is not None:
+                raise place.at(wrong).error(f"is not a known key. Did you mean '{kind}'?")
+        raise place.error(f"a mesh needs one of the keys {', '.join(kinds)}.")
+    raise place.error("must be a mapping such as {primitive: box, size: [1, 1, 1]}.")
+
+
+def _free_name(name: str, taken: set[str]) -> str:
+    if name not in taken:
+        return name
+    return next(f"{name}_{i}" for i in range(2, len(taken) + 3) if f"{name}_{i}" not in taken)
+
+
+def content_hash(meshes: Sequence[Mesh], lights: Sequence[Light], cameras: Sequence[Camera]) -> str:
+    """Hex digest (SHA-256) over everything that changes pixels; ``cameras`` are those of all frames in order.
+
+    Names are left out, and so is how a scene was described: equal geometry, poses, lights and cameras hash equally.
+    """
+    digest = hashlib.sha256()
+
+    def add(*values: Any) -> None:
+        for value in values:
+            array = np.ascontiguousarray(value, np.int64 if np.asarray(value).dtype.kind in "biu" else np.float64)
+            digest.update(repr(array.shape).encode())
+            digest.update((array + 0).tobytes())  # + 0 makes -0.0 and 0.0 the same
+
+    for mesh in meshes:
+        add(mesh.vertices, mesh.faces, mesh.diffuse, mesh.casts, mesh.receives, mesh.moving)
+        # A path may be cut or held, so that frames outside it are rendered as well: motion counts where it takes place.
+        frames = _motion_frames(mesh) if mesh.moving else range(1)
+        add([mesh.object_to_ws(frame) for frame in frames], frames.start)
+    for light in lights:
+        digest.update(light.kind.encode())
+        for item in fields(light):
+            value = getattr(light, item.name)
+            add(() if value is None else value)
+    for camera in cameras:
+        add(camera.eye, camera.target, camera.up, [camera.fov_deg, camera.near, camera.far])
+    return digest.hexdigest()
+
+
+def _motion_frames(mesh: Mesh) -> range:
+    assert isinstance(mesh.object_to_ws, KeyframedPose)
+    keys = mesh.object_to_ws.frames
+    return range(int(keys[0]), int(keys[-1]) + 1)

@@ -1,0 +1,79 @@
+"""Where meshes are: static transforms and keyframed motion, as float64 matrices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from experiments.scenes.place import Place
+from experiments.scenes.schema import Motion, Transform
+
+
+def matrix(transform: Transform) -> np.ndarray:
+    """Object to parent space, float64 (4, 4): scale, rotate about the fixed axes x, y, z in this order, translate."""
+    rotation = Rotation.from_euler("xyz", transform.rotate_deg, degrees=True).as_matrix()
+    return _compose(np.array(transform.translate), rotation, np.array(transform.scale))
+
+
+def _compose(translate: np.ndarray, rotation: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    out = np.eye(4)
+    out[:3, :3] = rotation * scale
+    out[:3, 3] = translate
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class StaticPose:
+    """The same matrix (4, 4) at every frame."""
+
+    object_to_ws: np.ndarray
+
+    def __call__(self, frame: int) -> np.ndarray:
+        """Object to world space, float64 (4, 4)."""
+        return self.object_to_ws.copy()
+
+
+class KeyframedPose:
+    """A motion applied to a mesh that is already placed by its static transform."""
+
+    def __init__(self, motion: Motion, object_to_parent: np.ndarray) -> None:
+        keys = motion.keyframes
+        self.frames = np.array([key.frame for key in keys], np.float64)
+        self.object_to_parent = object_to_parent
+        self._translate = np.array([key.translate for key in keys])
+        self._scale = np.array([key.scale for key in keys])
+        self._rotations = Rotation.from_euler("xyz", np.array([key.rotate_deg for key in keys]), degrees=True)
+        self._slerp = Slerp(self.frames, self._rotations) if len(keys) > 1 else None
+
+    def __call__(self, frame: int) -> np.ndarray:
+        """Object to world space, float64 (4, 4); the first and last keyframe are held outside their range."""
+        at = float(np.clip(frame, self.frames[0], self.frames[-1]))
+        rotation = self._slerp(at) if self._slerp is not None else self._rotations[0]
+        translate = [np.interp(at, self.frames, self._translate[:, axis]) for axis in range(3)]
+        scale = [np.interp(at, self.frames, self._scale[:, axis]) for axis in range(3)]
+        return _compose(np.array(translate), rotation.as_matrix(), np.array(scale)) @ self.object_to_parent
+
+    @property
+    def moving(self) -> bool:
+        """Whether any keyframe differs from the first."""
+        first = self(int(self.frames[0]))
+        return any(not np.array_equal(first, self(int(frame))) for frame in self.frames[1:])
+
+
+def pose(transform: Transform, motion: Motion | None, place: Place) -> StaticPose | KeyframedPose:
+    """The pose that a mesh at ``place`` asks for; raises InputError where keyframes are out of order."""
+    if motion is None:
+        return StaticPose(matrix(transform))
+    check_order([key.frame for key in motion.keyframes], place.at("motion", "keyframes"))
+    return KeyframedPose(motion, matrix(transform))
+
+
+def check_order(frames: list[int], place: Place) -> None:
+    """Raises InputError at the first keyframe whose frame does not lie after the one before."""
+    for i in range(1, len(frames)):
+        if frames[i] <= frames[i - 1]:
+            raise place.at(i, "frame").error(
+                f"keyframes must come in rising order, {frames[i]} follows {frames[i - 1]}."
+            )

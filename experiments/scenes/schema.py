@@ -1,0 +1,245 @@
+"""What a scene file may say (DESIGN.md section 4), as pydantic models. Lengths in scene units, angles in degrees."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field
+
+from experiments.config.source import StrictModel
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Vector3 = tuple[float, float, float]
+Reflectance = Annotated[float, Field(ge=0, le=1)]
+Name = Annotated[str, Field(min_length=1)]
+
+
+def _once_per_axis(value: Any) -> Any:
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return (value, value, value)
+    return tuple(value) if isinstance(value, list) else value  # after a validator, strict mode wants tuples
+
+
+def _not_zero(value: Vector3) -> Vector3:
+    if not any(value):
+        raise ValueError("must not be the zero vector.")
+    return value
+
+
+Scale = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(_once_per_axis)]
+Direction = Annotated[Vector3, AfterValidator(_not_zero)]
+
+
+class Transform(StrictModel):
+    """Scale, then rotation about x, then y, then z (fixed axes), then translation."""
+
+    translate: Vector3 = (0.0, 0.0, 0.0)
+    rotate_deg: Vector3 = (0.0, 0.0, 0.0)
+    scale: Scale = (1.0, 1.0, 1.0)
+
+
+class MotionKeyframe(Transform):
+    """A transform at a frame."""
+
+    frame: int
+
+
+class Motion(StrictModel):
+    """Keyframes between which a mesh moves: linear, rotations the shorter way round; the ends are held."""
+
+    keyframes: Annotated[list[MotionKeyframe], Field(min_length=1)]
+
+
+class MeshOptions(StrictModel):
+    """Keys that every mesh takes."""
+
+    name: Name | None = None
+    transform: Transform = Transform()
+    motion: Motion | None = None
+    diffuse: tuple[Reflectance, Reflectance, Reflectance] | None = None
+    casts: bool = True
+    receives: bool = True
+
+
+class Box(MeshOptions):
+    """A closed box centred on the origin."""
+
+    primitive: Literal["box"]
+    size: tuple[Positive, Positive, Positive]
+
+
+class Plane(MeshOptions):
+    """Two triangles in XZ, normal +Y."""
+
+    primitive: Literal["plane"]
+    size: tuple[Positive, Positive]
+
+
+class Disc(MeshOptions):
+    """A disc in XZ, normal +Y."""
+
+    primitive: Literal["disc"]
+    radius: Positive
+
+
+class Grid(MeshOptions):
+    """cells x cells quads in XZ, normal +Y."""
+
+    primitive: Literal["grid"]
+    size: tuple[Positive, Positive]
+    cells: Annotated[int, Field(ge=1, le=4096)]
+
+
+class Sphere(MeshOptions):
+    """A closed icosphere of 20 * 4^subdivisions triangles."""
+
+    primitive: Literal["sphere"]
+    radius: Positive
+    subdivisions: Annotated[int, Field(ge=0, le=8)] = 3
+
+
+class Cylinder(MeshOptions):
+    """A closed cylinder along y."""
+
+    primitive: Literal["cylinder"]
+    radius: Positive
+    height: Positive
+
+
+class MeshFile(MeshOptions):
+    """A mesh file, relative to the scene file; ``warp:NAME`` is one of Warp's example assets."""
+
+    file: Name
+
+
+PRIMITIVES: dict[str, type[MeshOptions]] = {
+    "box": Box,
+    "plane": Plane,
+    "disc": Disc,
+    "grid": Grid,
+    "sphere": Sphere,
+    "cylinder": Cylinder,
+}
+
+
+class LightOptions(StrictModel):
+    """Keys that every light takes."""
+
+    radiance: tuple[NonNegative, NonNegative, NonNegative] = (1.0, 1.0, 1.0)
+
+
+class Point(LightOptions):
+    """An omnidirectional point."""
+
+    kind: Literal["point"]
+    position: Vector3
+
+
+class Directional(LightOptions):
+    """Light that travels along ``direction``; ``angle_deg`` is the full angular diameter."""
+
+    kind: Literal["directional"]
+    direction: Direction
+    angle_deg: Annotated[float, Field(ge=0, lt=180)] = 0.0
+
+
+class Rectangle(LightOptions):
+    """A parallelogram given by its centre and two full edges; a zero edge is allowed (the limit of a small light)."""
+
+    kind: Literal["rectangle"]
+    center: Vector3
+    edge_u: Vector3
+    edge_v: Vector3
+    texture: Name | None = None
+
+
+class SphereLight(LightOptions):
+    """A sphere."""
+
+    kind: Literal["sphere"]
+    center: Vector3
+    radius: NonNegative
+
+
+class DiscLight(LightOptions):
+    """A disc."""
+
+    kind: Literal["disc"]
+    center: Vector3
+    normal: Direction
+    radius: NonNegative
+
+
+class Linear(LightOptions):
+    """A segment."""
+
+    kind: Literal["linear"]
+    a: Vector3
+    b: Vector3
+
+
+class Polygon(LightOptions):
+    """A planar convex polygon."""
+
+    kind: Literal["polygon"]
+    vertices: Annotated[list[Vector3], Field(min_length=3)]
+    texture: Name | None = None
+
+
+LIGHTS: dict[str, type[LightOptions]] = {
+    "point": Point,
+    "directional": Directional,
+    "rectangle": Rectangle,
+    "sphere": SphereLight,
+    "disc": DiscLight,
+    "linear": Linear,
+    "polygon": Polygon,
+}
+
+
+class CameraOptions(StrictModel):
+    """A pinhole camera; eye and target may be left to a path. ``fov_deg`` is vertical."""
+
+    eye: Vector3 | None = None
+    target: Vector3 | None = None
+    up: Direction = (0.0, 1.0, 0.0)
+    fov_deg: Annotated[float, Field(gt=0, lt=180)] = 60.0
+    near: Positive = 0.1
+    far: Positive = 1000.0
+
+
+class CameraKeyframe(StrictModel):
+    """Eye and target at a frame."""
+
+    frame: int
+    eye: Vector3
+    target: Vector3
+
+
+class Orbit(StrictModel):
+    """A turn about the vertical through ``center``, ``height`` above it, from +Z (0 degrees) towards +X."""
+
+    center: Vector3
+    radius: Positive
+    height: float = 0.0
+    degrees: float = 360.0
+    start_deg: float = 0.0
+
+
+class PathOptions(StrictModel):
+    """A camera path: ``frames`` and one of keyframes, orbit and file."""
+
+    frames: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
+    keyframes: Annotated[list[CameraKeyframe], Field(min_length=1)] | None = None
+    orbit: Orbit | None = None
+    file: Name | None = None
+
+
+class SceneFile(StrictModel):
+    """The top level. Meshes and lights are checked one by one, against the model that their kind asks for."""
+
+    meshes: list[Any]
+    lights: Annotated[list[Any], Field(min_length=1)]
+    camera: CameraOptions = CameraOptions()
+    path: PathOptions | None = None

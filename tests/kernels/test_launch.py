@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+import warp as wp
+
+from wkernels import launch as launching
+from wkernels.launch import default_threads, launch
+
+
+@wp.kernel
+def visit_1d(first: int, visits_out: wp.array(dtype=int)):
+    i = first + wp.tid()
+    visits_out[i] = visits_out[i] + i + 1
+
+
+@wp.kernel
+def visit_2d(first: int, visits_out: wp.array2d(dtype=int)):
+    row, x = wp.tid()
+    y = first + row
+    visits_out[y, x] = visits_out[y, x] + y * 1000 + x + 1
+
+
+@wp.kernel
+def visit_3d(first: int, visits_out: wp.array3d(dtype=int)):
+    layer, y, x = wp.tid()
+    z = first + layer
+    visits_out[z, y, x] = visits_out[z, y, x] + z * 10000 + y * 100 + x + 1
+
+
+KERNELS = {1: (visit_1d, (1,)), 2: (visit_2d, (1000, 1)), 3: (visit_3d, (10000, 100, 1))}
+
+
+@pytest.mark.parametrize("tile", [None, 1, 5])
+@pytest.mark.parametrize("threads", [1, 2, 3, 7])
+@pytest.mark.parametrize("shape", [(1,), (7,), (5000,), (1, 3000), (97, 31), (3, 1), (5, 33, 27)])
+def test_every_cell_is_visited_once(shape: tuple[int, ...], threads: int, tile: int | None, device: str) -> None:
+    visits = wp.zeros(shape, dtype=int, device=device)
+    kernel, strides = KERNELS[len(shape)]
+    launch(kernel, shape if len(shape) > 1 else shape[0], [], [visits], device=device, threads=threads, tile=tile)
+    expected = sum(i * stride for i, stride in zip(np.indices(shape), strides, strict=True)) + 1
+    np.testing.assert_array_equal(visits.numpy(), expected)
+
+
+@pytest.mark.parametrize("shape", [0, (0, 5), (5, 0), (0, 0, 0)])
+def test_a_grid_without_cells_is_no_launch(shape: int | tuple[int, ...], device: str) -> None:
+    launch(visit_1d, shape, [], ["not an array: launching would fail"], device=device)
+
+
+def test_launches_from_several_threads_do_not_mix(device: str) -> None:
+    arrays = [wp.zeros((200, 60), dtype=int, device=device) for _ in range(4)]
+    workers = [
+        threading.Thread(target=launch, args=(visit_2d, (200, 60), [], [a]), kwargs={"device": device, "threads": 3})
+        for a in arrays
+    ]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    rows, columns = np.indices((200, 60))
+    for array in arrays:
+        np.testing.assert_array_equal(array.numpy(), rows * 1000 + columns + 1)
+
+
+@pytest.mark.parametrize("guilty", [0, 1, 2])
+def test_an_error_of_any_worker_reaches_the_caller(guilty: int) -> None:
+    done = []
+
+    def job(index: int) -> None:
+        if index == guilty:
+            raise ValueError(f"job {index}")
+        done.append(index)
+
+    with pytest.raises(ValueError, match=f"job {guilty}"):
+        launching._team.run([lambda i=i: job(i) for i in range(3)])
+    assert sorted(done) == [i for i in range(3) if i != guilty]
+    launching._team.run([lambda: done.append(9), lambda: done.append(9)])  # the team still works
+    assert done.count(9) == 2
+
+
+def test_threads_come_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("WKERNELS_THREADS", raising=False)
+    plain = default_threads()
+    assert plain >= 1
+    monkeypatch.setenv("WKERNELS_THREADS", str(plain + 1))
+    assert default_threads() == plain + 1
+    for nonsense in ("0", "-2", "many", ""):
+        monkeypatch.setenv("WKERNELS_THREADS", nonsense)
+        assert default_threads() == plain

@@ -1,0 +1,110 @@
+"""The ray-cast reference against Mitsuba 3, pixel by pixel, on scenes with real meshes.
+
+Everything on Mitsuba's side is its own: camera rays, ray tracing, points on the emitter, random numbers. What is estimated
+is the same quantity: the share of the emitter's area that a pixel's receiver point sees. Both estimates carry a standard
+error, and their difference is held to a two-sided z-test whose significance is Sidak-corrected for the number of pixels
+(as in Mitsuba's own rendering tests).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from experiments import reference_visibility
+from experiments.scenes import load_scene
+from wkernels.lights import RectangleLight
+from wkernels.scene import Mesh, Scene
+
+pytestmark = pytest.mark.peers
+
+SCENES = Path(__file__).parents[2] / "configs" / "scenes"
+WIDTH, HEIGHT, SAMPLES = 160, 120, 256
+SIGNIFICANCE = 0.01
+
+
+@pytest.fixture(scope="module")
+def mi() -> Any:
+    mitsuba = pytest.importorskip("mitsuba")
+    mitsuba.set_variant("llvm_ad_mono")
+    try:
+        mitsuba.Float([1.0, 2.0]).numpy()
+    except Exception as error:
+        pytest.skip(f"Mitsuba's vectorised variant needs an LLVM library: {error}")
+    return mitsuba
+
+
+def as_shape(mi: Any, mesh: Mesh, frame: int) -> Any:
+    pose = mesh.object_to_ws(frame)
+    corners = (mesh.vertices @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32)
+    shape = mi.Mesh(mesh.name, vertex_count=len(corners), face_count=len(mesh.faces))
+    parameters = mi.traverse(shape)
+    parameters["vertex_positions"] = corners.ravel()
+    parameters["faces"] = mesh.faces.astype(np.uint32).ravel()
+    parameters.update()
+    return shape
+
+
+def as_emitter(mi: Any, light: RectangleLight, towards: np.ndarray) -> dict[str, Any]:
+    """Mitsuba's rectangle spans [-1, 1]^2 and emits along +z only."""
+    half_u, half_v = 0.5 * light.edge_u, 0.5 * light.edge_v
+    normal = np.cross(half_u, half_v)
+    if normal @ (towards - light.center) < 0.0:
+        half_u, half_v, normal = half_v, half_u, -normal
+    to_world = np.eye(4)
+    to_world[:3] = np.stack([half_u, half_v, normal / np.linalg.norm(normal), light.center], axis=1)
+    return {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f(to_world.tolist()),
+        "emitter": {"type": "area", "radiance": {"type": "uniform", "value": 1.0}},
+    }
+
+
+def mitsuba_visibility(mi: Any, scene: Scene, frame: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Visibility, standard error (H, W) and seen points (H, W, 3); NaN where nothing is hit."""
+    camera, (light,) = scene.camera(frame), scene.lights
+    assert isinstance(light, RectangleLight)
+    assert all(mesh.casts and mesh.receives for mesh in scene.meshes), "Mitsuba knows no such switches"
+    content: dict[str, Any] = {
+        "type": "scene",
+        "light": as_emitter(mi, light, camera.target),
+        "sensor": {
+            "type": "perspective",
+            "fov": camera.fov_deg,
+            "fov_axis": "y",
+            "near_clip": camera.near,
+            "far_clip": camera.far,
+            "to_world": mi.ScalarTransform4f().look_at(
+                origin=camera.eye.tolist(), target=camera.target.tolist(), up=camera.up.tolist()
+            ),
+            "film": {"type": "hdrfilm", "width": WIDTH, "height": HEIGHT},
+        },
+    }
+    content |= {f"mesh_{i}": as_shape(mi, mesh, frame) for i, mesh in enumerate(scene.meshes)}
+    built = mi.load_dict(content)
+    column, row = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+    position = mi.Point2f(
+        ((column.ravel() + 0.5) / WIDTH).astype(np.float32), ((row.ravel() + 0.5) / HEIGHT).astype(np.float32)
+    )
+    ray, _ = built.sensors()[0].sample_ray(0.0, 0.5, position, mi.Point2f(0.5, 0.5))
+    hit = built.ray_intersect(ray)
+    pixels = WIDTH * HEIGHT
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(1, pixels)
+    facing = mi.Vector3f(mi.dr.mulsign(hit.n, mi.dr.dot(hit.n, hit.wi)) if hasattr(mi, "dr") else hit.n)
+    count = np.zeros(pixels)
+    for _ in range(SAMPLES):
+        way, weight = built.sample_emitter_direction(hit, sampler.next_2d(), test_visibility=True)
+        open_way = np.asarray(weight[0]) > 0.0
+        front = np.sum(np.asarray(facing) * np.asarray(way.d), axis=0) > 0.0
+        count += open_way & front
+    seen = np.asarray(hit.is_valid())
+    on_light = np.asarray(hit.emitter(built) != None)  # noqa: E711
+    share = np.where(seen & ~on_light, count / SAMPLES, np.nan)
+    error = np.sqrt(share * (1.0 - share) / (SAMPLES - 1))
+    points = np.where(seen, np.asarray(hit.p), np.nan).T.reshape(HEIGHT, WIDTH, 3)
+    return share.reshape(HEIGHT, WIDTH), error.reshape(HEIGHT, WIDTH), points

@@ -1,0 +1,206 @@
+"""The shadow buffer: what each pixel remembers of the shadow tests of earlier frames, and how the next frame finds it again.
+
+Sources: Scherzer et al. 2009, sections 3.2 and 4; Schwaerzler 2009, section 5.2. A texel holds rho, n, the linear eye depth and
+the mean blocker depth. The last two are kept as shares, of the far plane and of the receiver's own depth from the light: every
+light sample measures depth from its own origin, and float16 overflows at 65504 scene units.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from wkernels.estimators import FLOAT16_LIMIT, FLOAT32_LIMIT
+from wkernels.gbuffer import GBuffer
+from wkernels.geometry import RECEIVES
+from wkernels.reprojection import accept_absolute, nearest_texel, reproject
+from wkernels.views import View, pixel_along_ws, pixel_base_ws
+
+EDGE_ON = wp.constant(1.0e-3)  # a plane seen at a smaller sine of the angle tells nothing about the next pixel's depth
+
+
+@wp.struct
+class ShadowRecord:
+    """One pixel's history."""
+
+    rho: float  # sum of weighted shadow tests, 0 to n
+    n: float  # sum of their weights; 0: nothing is known
+    depth: float  # linear eye depth, scene units
+    blocker_rise: float  # 1 - z_b / z_r: how much nearer to the light the mean blocker is; 0: none was met
+
+
+@wp.struct
+class Storage:
+    """What a texel type can hold."""
+
+    limit: float  # largest n, see ``estimators.add_test``
+    rounding: float  # relative error of a stored depth
+
+
+TEXEL_TYPES: dict[str, type] = {"float32": wp.vec4, "float16": wp.vec4h}
+"""Texel type by the name of its format."""
+
+
+def storage_of(format: str) -> Storage:
+    """Limits of a format, a key of ``TEXEL_TYPES``."""
+    out = Storage()
+    half = format == "float16"
+    out.limit, out.rounding = (FLOAT16_LIMIT, 2.0**-11) if half else (FLOAT32_LIMIT, 2.0**-24)
+    return out
+
+
+@wp.func
+def widen(texel: wp.vec4) -> wp.vec4:
+    """A texel in float32."""
+    return texel
+
+
+@wp.func
+def widen(texel: wp.vec4h) -> wp.vec4:
+    """A texel in float32."""
+    return wp.vec4(float(texel[0]), float(texel[1]), float(texel[2]), float(texel[3]))
+
+
+@wp.func
+def put(texels: wp.array2d(dtype=wp.vec4), y: int, x: int, value: wp.vec4):
+    """Stores a texel."""
+    texels[y, x] = value
+
+
+@wp.func
+def put(texels: wp.array2d(dtype=wp.vec4h), y: int, x: int, value: wp.vec4):
+    """Stores a texel, rounded to nearest."""
+    texels[y, x] = wp.vec4h(wp.float16(value[0]), wp.float16(value[1]), wp.float16(value[2]), wp.float16(value[3]))
+
+
+@wp.func
+def read_record(texels: wp.array2d(dtype=Any), y: int, x: int, far: float) -> ShadowRecord:
+    """A pixel's history; ``far`` is the far plane of the view it was written for."""
+    texel = widen(texels[y, x])
+    result = ShadowRecord()
+    result.rho = texel[0]
+    result.n = texel[1]
+    result.depth = texel[2] * far
+    result.blocker_rise = texel[3]
+    return result
+
+
+@wp.func
+def write_record(texels: wp.array2d(dtype=Any), y: int, x: int, record: ShadowRecord, far: float):
+    """Stores a pixel's history for the next frame."""
+    put(texels, y, x, wp.vec4(record.rho, record.n, record.depth / far, record.blocker_rise))
+
+
+@wp.func
+def depth_on_plane(view: View, x_px: float, y_px: float, position_ws: wp.vec3, normal_ws: wp.vec3, otherwise: float) -> float:
+    """Linear depth at a screen position of the plane through a point; ``otherwise`` where it is seen edge-on."""
+    along = pixel_along_ws(view, x_px, y_px)
+    slope = wp.dot(normal_ws, along)
+    result = otherwise
+    if wp.abs(slope) > EDGE_ON * wp.length(along):
+        result = wp.dot(normal_ws, position_ws - pixel_base_ws(view, x_px, y_px)) / slope
+    return result
+
+
+@wp.func
+def fetch_record(
+    previous: wp.array2d(dtype=Any),
+    previous_view: View,
+    position_ws: wp.vec3,
+    normal_ws: wp.vec3,
+    epsilon: float,
+    rounding: float,
+) -> ShadowRecord:
+    """History of a receiver point: the texel it fell into in the previous frame, if the same surface was seen there.
+
+    Equation 4, |d_k - d_(k-1)| < epsilon. The texel's centre is up to half a pixel away from the point, so that d_k is taken
+    there, on the receiver's plane: on slanted ground the plain difference would reject everything as soon as the eye moves.
+
+    Args:
+        previous: Texels of the previous frame, written for ``previous_view``.
+        previous_view: The eye's view then.
+        position_ws: The point, rebased world.
+        normal_ws: Its unit normal.
+        epsilon: Scene units.
+        rounding: Relative error of stored depths, ``Storage.rounding``, granted on top of ``epsilon``.
+
+    Returns:
+        The record; n = 0 where the point is new.
+    """
+    result = ShadowRecord()
+    at = reproject(previous_view, position_ws)
+    texel = nearest_texel(previous_view, at[0], at[1])
+    if texel[0] >= 0:
+        held = read_record(previous, texel[1], texel[0], previous_view.far)
+        depth = depth_on_plane(
+            previous_view, float(texel[0]) + 0.5, float(texel[1]) + 0.5, position_ws, normal_ws, at[2]
+        )
+        if accept_absolute(depth, held.depth, epsilon + rounding * held.depth):
+            result = held
+    return result
+
+
+@wp.func
+def refine_blocker(rise: float, new_rise: float, known: float) -> float:
+    """Mean blocker depth after one more blocker, equation 7, as ``ShadowRecord.blocker_rise``.
+
+    The equation divides by the frames; only frames with a blocker add to its sum, so it is those that must be counted.
+
+    Args:
+        rise: Mean so far, 0 for none.
+        new_rise: The new blocker's.
+        known: Samples behind ``rise``: shadowed tests so far plus taps of the first search.
+    """
+    result = new_rise
+    if rise > 0.0:
+        result = (new_rise + rise * known) / (known + 1.0)
+    return result
+
+
+@wp.func
+def pixels_per_length(view: View, depth: float) -> float:
+    """How many pixels a unit length across the view covers at a depth."""
+    return 1.0 / wp.max(wp.length(view.base_dx_ws + depth * view.along_dx_ws), 1.0e-30)
+
+
+@wp.kernel
+def filter_neighbourhood(
+    first: int,
+    gbuffer: GBuffer,
+    psi: wp.array2d(dtype=float),
+    half_width_px: wp.array2d(dtype=float),
+    taps: wp.array(dtype=wp.vec2),
+    depth_range: float,
+    visibility_out: wp.array2d(dtype=float),
+):
+    """Visibility from psi, smoothed over the pixels that ask for it (Scherzer et al. 2009, section 3.3).
+
+    The mean of the pixel and of the taps that fall on a receiver of a similar depth.
+
+    Args:
+        first: Tile offset.
+        gbuffer: Receivers, (H, W).
+        psi: Hidden share of the light, (H, W), 0 to 1.
+        half_width_px: Half the filter's width in pixels; less than 1/2 for none.
+        taps: Offsets in [-1, 1]^2.
+        depth_range: Largest difference of linear eye depth, share of the pixel's own.
+        visibility_out: 1 - psi, smoothed; 1 where nothing receives.
+    """
+    row, x = wp.tid()
+    y = first + row
+    total = psi[y, x]
+    half_width = half_width_px[y, x]
+    if half_width >= 0.5:
+        count = float(1.0)
+        depth = gbuffer.depth[y, x]
+        for i in range(taps.shape[0]):
+            column = int(wp.round(float(x) + half_width * taps[i][0]))
+            line = int(wp.round(float(y) + half_width * taps[i][1]))
+            if column >= 0 and line >= 0 and column < psi.shape[1] and line < psi.shape[0]:
+                if (gbuffer.flags[line, column] & RECEIVES) != 0:
+                    if wp.abs(gbuffer.depth[line, column] - depth) < depth_range * depth:
+                        total += psi[line, column]
+                        count += 1.0
+        total = total / count
+    visibility_out[y, x] = 1.0 - total
