@@ -286,7 +286,7 @@ class Session:
         """``count`` points of the light from sample ``start`` on (rebased world)."""
 
         def build(old: LightSamples | None) -> LightSamples:
-            u = light_set(kind, count, 3, start, self.seed - 1)
+            u = light_set(kind, count, 3, start, 0 if self.seed == 1 else self.seed + 1)
             host, weights = self.light.sample(u), self.light.weights(u)
             return LightSamples(
                 host,

@@ -65,9 +65,9 @@ class _Team:
             except BaseException as error:
                 errors.append(error)
             errors += [self._done.get() for _ in jobs[1:]]
-        for error in errors:
-            if error is not None:
-                raise error
+        for met in errors:
+            if met is not None:
+                raise met
 
 
 # A worker that wakes up waits for the GIL this long; the default of 5 ms is more than a whole pass
@@ -112,7 +112,6 @@ def launch(
         wp.launch(kernel, dim=shape, inputs=arguments, device="cpu")
         return
     tile = tile or max(1, -(-rows // (threads * TILES_PER_THREAD)))
-    kernel.module.load(wp.get_device("cpu"))  # compiling from several threads would build the headers several times
     workers = min(threads, -(-rows // tile))
     # recorded here, one for each worker: recording refreshes the arguments' C structs in place, which must not race
     commands = [

@@ -328,8 +328,8 @@ def test_orientation_and_degenerate_polygons() -> None:
 def test_edge_on_polygons(around_centre: bool) -> None:
     """Planes through the centre, up to rounding: clipping leaves corners whose w is rounding error of either sign.
 
-    Seen from beside it such a polygon is a line. From within it is a half-plane or nothing, as the last bit decides, and
-    all that can be asked is a finite answer within the rectangle.
+    Seen from beside it such a polygon is a line. From within it is a half-plane or nothing, as the last bit decides,
+    and all that can be asked is a finite answer within the rectangle.
     """
     rng = np.random.default_rng(14)
     polygons = []

@@ -47,8 +47,8 @@ def position_error(session: Session, actual: np.ndarray, expected: np.ndarray, g
     """Distance (H, W) relative to the eye's, at a surface seen face on: a plane seen at a slant magnifies any rounding."""
     way = expected - session.eye().eye_ws
     distance = np.linalg.norm(way, axis=2)
-    facing = np.abs(np.einsum("ijk,ijk->ij", way, gbuffer.normal_ws.numpy())) / distance
-    return np.linalg.norm(actual - expected, axis=2) * facing / distance
+    facing = np.abs(np.einsum("ijk,ijk->ij", way, gbuffer.normal_ws.numpy()))
+    return np.linalg.norm(actual - expected, axis=2) * facing / np.maximum(distance, 1e-9) ** 2
 
 
 def everything(device: str) -> Session:

@@ -288,18 +288,13 @@ def test_clipping_at_the_near_plane_equals_rays(seed: int, device: str) -> None:
     assert_depth_equals_rays(points, np.arange(60).reshape(-1, 3), view, device)
 
 
-@pytest.mark.parametrize(
-    ("reach", "heading"),
-    [(1e2, (0.2, -0.3, -1.0)), (1e4, (0.2, -0.3, -1.0)), (1e5, (0.0, 0.0, -1.0))],  # beyond that, float32 is too coarse
-)
-def test_huge_triangles_far_outside_the_guard_band_equal_rays(
-    reach: float, heading: tuple[float, float, float], device: str
-) -> None:
+@pytest.mark.parametrize("reach", [1e2, 1e3, 1e4])  # times near: beyond that float32 is too coarse to clip in
+def test_huge_triangles_far_outside_the_guard_band_equal_rays(reach: float, device: str) -> None:
     """A ground whose corners project hundreds of thousands of pixels away, and a wall through the eye's side."""
     ground = np.array([(-reach, -1.0, -reach), (reach, -1.0, -reach), (0.0, -1.0, reach)])
     wall = np.array([(1.0, -reach, -reach), (1.0, reach, -reach), (1.0, 0.0, reach)])
     points, faces = np.concatenate([ground, wall]), np.arange(6).reshape(-1, 3)
-    view = eye_view(small_scenes.camera((0, 0, 0), heading, near=0.1, far=2 * reach), 60, 44, np.zeros(3))
+    view = eye_view(small_scenes.camera((0, 0, 0), (0.2, -0.3, -1.0), near=0.1, far=2 * reach), 60, 44, np.zeros(3))
     assert_depth_equals_rays(points, faces, view, device, min_hit=0.4)
 
 
