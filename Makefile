@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: help demo test check bench table clean
+.PHONY: help demo test check bench table picture clean
 .DEFAULT_GOAL := help
 
 help:
@@ -12,6 +12,7 @@ help:
 	@echo "make check   lint and type check"
 	@echo "make bench   time every technique of the demo at a larger size"
 	@echo "make table   bring the technique table of README.md up to date"
+	@echo "make picture make the picture of README.md again, from the demo"
 	@echo "make clean   remove .venv and out/"
 
 $(STAMP): pyproject.toml constraints.txt
@@ -36,6 +37,9 @@ bench: $(STAMP)
 
 table: $(STAMP)
 	$(BIN)/python -m experiments.commands.readme
+
+picture: demo
+	$(BIN)/python -m experiments.commands.picture out/demo docs/images/demo.jpg
 
 clean:
 	rm -rf .venv out

@@ -26,8 +26,8 @@ def describe_run(experiment: Experiment, engine: Engine, *, skips: bool) -> dict
     """environment.json of a run.
 
     Returns:
-        ``identity``: what rows must share to be comparable (a resumed run checks it); ``run``: what was run, for reports;
-        ``environment``: software and machine; ``metrics``: version of each metric's definition.
+        ``identity``: what rows must share to be comparable (a resumed run checks it); ``run``: what was run, for
+        reports; ``environment``: software and machine; ``metrics``: version of each metric's definition.
     """
     used = sorted({run.name for run in experiment.runs})
     light = engine.scene.lights[experiment.light]
@@ -53,7 +53,8 @@ def describe_run(experiment: Experiment, engine: Engine, *, skips: bool) -> dict
             "repeats": experiment.repeats,
             "baseline": experiment.baseline,
             "labels": [
-                {"label": run.label, "technique": run.name, **_declared(engine.plugins[run.name])} for run in experiment.runs
+                {"label": run.label, "technique": run.name, **_declared(engine.plugins[run.name])}
+                for run in experiment.runs
             ],
         },
         "environment": {
@@ -125,7 +126,9 @@ def git_commit() -> str | None:
     root = Path(__file__).resolve().parent.parent
 
     def git(*arguments: str) -> str:
-        done = subprocess.run(["git", "-C", str(root), *arguments], capture_output=True, text=True, check=True, timeout=10)
+        done = subprocess.run(
+            ["git", "-C", str(root), *arguments], capture_output=True, text=True, check=True, timeout=10
+        )
         return done.stdout.strip()
 
     try:

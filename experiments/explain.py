@@ -1,7 +1,8 @@
-"""``explain``: what an experiment will run, what it leaves out and why, told from declarations and scene facts alone."""
+"""``explain``: what an experiment will run, what it leaves out and why, from declarations and scene facts alone."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -53,7 +54,8 @@ def _scene_lines(experiment: Experiment, scene: Scene) -> list[str]:
         f"{scene.name}: {len(scene.meshes)} meshes, {triangles:,} triangles, {len(casters)} meshes cast, "
         f"{sum(mesh.receives for mesh in scene.meshes)} receive, {sum(mesh.moving for mesh in scene.meshes)} move",
         f"light {experiment.light} of {len(scene.lights)}: {light.kind}, {extent}",
-        f"path of {scene.frames} frame{_s(scene.frames)}; {len(experiment.frames)} rendered: {_ranges(experiment.frames)}",
+        f"path of {scene.frames} frame{_s(scene.frames)}; "
+        f"{len(experiment.frames)} rendered: {_ranges(experiment.frames)}",
     ]
 
 
@@ -77,17 +79,18 @@ def _work_lines(experiment: Experiment, plugins: Mapping[str, type]) -> list[str
     labels, frames, repeats = len(experiment.runs), len(experiment.frames), experiment.repeats
     image = experiment.image
     pixels = image.width * image.height
-    warm = sum(min(frames, 2 if plugins[run.name].needs.history else 1) for run in experiment.runs)  # type: ignore[attr-defined]
+    techniques: list[Any] = [plugins[run.name] for run in experiment.runs]
+    warm = sum(min(frames, 2 if technique.needs.history else 1) for technique in techniques)
     lines = [
-        f"{labels * frames * repeats:,} timed renderings of {image.width} x {image.height}: {labels} label{_s(labels)} x "
-        f"{frames} frame{_s(frames)} x {repeats} repeat{_s(repeats)}, and {warm} untimed to warm up"
+        f"{labels * frames * repeats:,} timed renderings of {image.width} x {image.height}: "
+        f"{labels} label{_s(labels)} x {frames} frame{_s(frames)} x {repeats} repeat{_s(repeats)}, and {warm} untimed to warm up"
     ]
     if experiment.reference:
         chosen = experiment.frames[:: experiment.reference.every]
         rays = len(chosen) * pixels * experiment.reference.samples
         lines.append(
-            f"reference on {len(chosen)} frame{_s(len(chosen))}: {_ranges(chosen)}; {experiment.reference.samples} light samples, "
-            f"at most {rays:,} rays; frames in the cache are not traced again"
+            f"reference on {len(chosen)} frame{_s(len(chosen))}: {_ranges(chosen)}; "
+            f"{experiment.reference.samples} light samples, at most {rays:,} rays; frames in the cache are not traced again"
         )
     asked = set(experiment.metrics) | {metric.name for metric in METRICS.values() if metric.always}
     lines.append(f"metrics: {', '.join(name for name in METRICS if name in asked)}, m_x_max, m_z_max")
@@ -102,8 +105,14 @@ def _left_out_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, 
     if not casters:
         lines.append("depth maps, blocker searches and rays: no mesh casts, everything is lit")
     elif not any(mesh.moving for mesh in casters) and len(experiment.frames) > 1:
-        lines.append("building depth maps and ray structures anew on later frames: no caster moves and neither does the light")
-    if len(experiment.frames) > 1 and _camera_rests(experiment, scene) and not any(mesh.moving for mesh in scene.meshes):
+        lines.append(
+            "building depth maps and ray structures anew on later frames: no caster moves and neither does the light"
+        )
+    if (
+        len(experiment.frames) > 1
+        and _camera_rests(experiment, scene)
+        and not any(mesh.moving for mesh in scene.meshes)
+    ):
         lines.append("drawing the G-buffer again on later frames: neither the camera nor a mesh moves")
     if not any(mesh.receives for mesh in scene.meshes):
         lines.append("all errors: no mesh receives shadows")
@@ -111,7 +120,9 @@ def _left_out_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, 
         names = [metric.title for metric in METRICS.values() if _needs_reference(metric.name)]
         lines.append(f"{', '.join(names)}: there is no reference; their columns stay empty")
     elif experiment.reference.every > 1 and len(experiment.frames) > 1:
-        lines.append(f"errors on the other frames: the reference is made on every {experiment.reference.every}th frame only")
+        lines.append(
+            f"errors on the other frames: the reference is made on every {experiment.reference.every}th frame only"
+        )
     lines += [
         f"{METRICS[name].title}: not among the experiment's metrics"
         for name in ("flip", "flicker")
@@ -146,6 +157,6 @@ def _ranges(frames: Sequence[int]) -> str:
     if len(frames) <= 3:
         return ", ".join(map(str, frames))
     step = frames[1] - frames[0]
-    if all(b - a == step for a, b in zip(frames[:-1], frames[1:], strict=True)):
+    if all(b - a == step for a, b in itertools.pairwise(frames)):
         return f"{frames[0]}, {frames[1]}, ..., {frames[-1]}"
     return ", ".join(map(str, frames))

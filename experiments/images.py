@@ -67,12 +67,16 @@ def error_colors(error: np.ndarray) -> np.ndarray:
     """Heat colours of signed errors in [-1, 1] on the scale ``ERROR_SCALE``; uint8 (..., 3)."""
     from matplotlib import colormaps
 
+    table = colormaps[_ERROR_COLORS](np.arange(256))[:, :3]
     place = 0.5 + 0.5 * np.sign(error) * np.sqrt(np.clip(np.abs(error), 0.0, 1.0))
-    return np.rint(255.0 * colormaps[_ERROR_COLORS](np.nan_to_num(place, nan=0.5))[..., :3]).astype(np.uint8)
+    place = 255.0 * np.nan_to_num(place, nan=0.5)
+    # Interpolated, because an even number of entries has none in the middle: no error must not look like a little.
+    channels = [np.interp(place, np.arange(256), table[:, channel]) for channel in range(3)]
+    return np.rint(255.0 * np.stack(channels, axis=-1)).astype(np.uint8)
 
 
 def error_view(visibility: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Heat map of ``visibility - reference`` on the scale ``ERROR_SCALE``, the same in every picture; uint8 (H, W, 3)."""
+    """Heat map of ``visibility - reference`` on ``ERROR_SCALE``, the same in every picture; uint8 (H, W, 3)."""
     error = visibility - reference
     out = error_colors(error)
     out[~np.isfinite(error)] = NO_RECEIVER

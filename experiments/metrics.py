@@ -1,8 +1,8 @@
 """Error measures of one visibility image, as a table of descriptors.
 
-Every metric is a number over *receiver pixels*: those where neither the visibility nor the reference is NaN. What cannot be
-measured is None, never 0. A descriptor carries a version, which is stored with the results and grows when its definition
-changes, so that numbers of different definitions are never mixed.
+Every metric is a number over *receiver pixels*: those where neither the visibility nor the reference is NaN. What
+cannot be measured is None, never 0. A descriptor carries a version, which is stored with the results and grows when its
+definition changes, so that numbers of different definitions are never mixed.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 FLIP_PIXELS_PER_DEGREE = 67.02  # a 0.7 m wide 4K screen seen from 0.7 m, the value of the FLIP paper
-_MATCH = 0.1  # of the distance to the furthest of four pixels: across a depth edge at most this weight is from elsewhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +24,8 @@ class Measured:
         standard_error: (H, W) of the technique's light sampling; None for techniques that do not sample the light.
         reference: (H, W) reference visibility of the same receiver points; None where none was made.
         reference_standard_error: (H, W), goes with ``reference``.
-        previous: Visibility of the frame before, carried to this frame's receiver points, (H, W), NaN where these were not
-            seen or were moving; None on a first frame or where nothing asked for it.
+        previous: Visibility of the frame before, carried to this frame's receiver points (``carry_over``), (H, W), NaN
+            where these were not seen; None on a first frame or where nothing asked for it.
     """
 
     visibility: np.ndarray
@@ -197,7 +196,7 @@ METRICS: Mapping[str, Metric] = {
             "Root mean square of the technique's own standard error; only techniques that sample the light have one.",
             "visibility",
             best=0.0,
-            worst=0.5,
+            worst=1.0,
             always=True,
             from_images=True,
             version=1,
@@ -246,51 +245,3 @@ def distinguishable(difference: float | None, reference_standard_error: float | 
     if not (np.isfinite(difference) and np.isfinite(reference_standard_error)):
         return None
     return bool(abs(difference) > 2.0 * reference_standard_error)
-
-
-def carry_over(
-    previous_visibility: np.ndarray,
-    previous_position_ws: np.ndarray,
-    previous_ws_to_ss: np.ndarray,
-    position_ws: np.ndarray,
-) -> np.ndarray:
-    """The previous frame's visibility at this frame's receiver points, found by reprojection.
-
-    Interpolates between the four previous pixels around a point, and only where the positions they saw interpolate to the
-    point itself. That leaves out disocclusions, silhouettes and meshes that moved, so that what remains is change of shadow.
-
-    Args:
-        previous_visibility: (H, W), NaN where no receiver was seen.
-        previous_position_ws: (H, W, 3), in the same world space as the other arguments.
-        previous_ws_to_ss: (4, 4), rows x, y, linear depth, w as in ``wkernels.views``.
-        position_ws: (H, W, 3) of this frame.
-
-    Returns:
-        float64 (H, W), NaN where there is no trustworthy match.
-    """
-    height, width = previous_visibility.shape
-    points = position_ws.reshape(-1, 3).astype(np.float64)
-    ss = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ previous_ws_to_ss.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x = (0.5 + 0.5 * ss[:, 0] / ss[:, 3]) * width - 0.5
-        y = (0.5 - 0.5 * ss[:, 1] / ss[:, 3]) * height - 0.5
-        inside = (ss[:, 2] > 0.0) & (x >= 0.0) & (y >= 0.0) & (x <= width - 1) & (y <= height - 1)
-    out = np.full(len(points), np.nan)
-    if width < 2 or height < 2 or not inside.any():
-        return out.reshape(height, width)
-    x, y, points = x[inside], y[inside], points[inside]
-    column, row = np.minimum(x.astype(int), width - 2), np.minimum(y.astype(int), height - 2)
-    fraction_x, fraction_y = x - column, y - row
-    corners = [(row + dy, column + dx) for dy in (0, 1) for dx in (0, 1)]
-    near = np.stack([previous_position_ws[r, c].astype(np.float64) for r, c in corners])
-    weights = np.stack([
-        (1.0 - fraction_y) * (1.0 - fraction_x),
-        (1.0 - fraction_y) * fraction_x,
-        fraction_y * (1.0 - fraction_x),
-        fraction_y * fraction_x,
-    ])
-    miss = np.linalg.norm((weights[:, :, None] * near).sum(axis=0) - points, axis=1)
-    reach = np.linalg.norm(near - points, axis=2).max(axis=0)
-    seen = np.stack([previous_visibility[r, c].astype(np.float64) for r, c in corners])
-    out[inside] = np.where(miss <= _MATCH * reach, (weights * seen).sum(axis=0), np.nan)
-    return out.reshape(height, width)

@@ -1,30 +1,31 @@
 """Runs a walkthrough: every label on every frame, interleaved, timed by the same rules, stored as it happens.
 
-Order of work, the same in every run: for each frame, ``repeats`` times, each label in file order (A B C A B C); then every
-label commits its history. A row holds medians over the repeats. Warm-up (compile, load, first touch of memory) comes before
-the first frame and is never timed.
+Order of work, the same in every run: for each frame, ``repeats`` times, each label in file order (A B C A B C); then
+every label commits its history. A row holds medians over the repeats. Warm-up (compile, load, first touch of memory) comes
+before the first frame and is never timed.
 """
 
 from __future__ import annotations
 
 import traceback
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from experiments import metrics
-from experiments.engine import Engine, FrameLike, SessionLike, WarpEngine
+from experiments.carry_over import carry_over
+from experiments.engine import Engine, FrameLike, WarpEngine
 from experiments.environment import describe_run
 from experiments.images import error_view, shaded_view, visibility_view, write_exr, write_png
-from experiments.store import Store, write_text
+from experiments.lanes import Lane, Timing, pass_medians, timing_columns
+from experiments.store import Store
+from experiments.tables import write_text
 from wkernels.errors import InputError
 
 if TYPE_CHECKING:
     from experiments.config.schema import Experiment
-    from experiments.config.techniques import TechniqueRun
 
 
 class Progress(Protocol):
@@ -51,43 +52,6 @@ class TechniquesFailed(RuntimeError):
             f"'{first['label']}' failed on frame {first['frame']}: {first['error']}{more}. "
             f"Tracebacks are in {out / 'failures'}, the other results in {out}."
         )
-
-
-class Timing(NamedTuple):
-    """Times of one rendering of one frame, milliseconds; see ``wkernels.frame.FrameResult``."""
-
-    frame_ms: float
-    shadow_ms: float
-    passes: list[tuple[str, float]]
-
-
-@dataclass(eq=False)
-class _Lane:
-    """One label on its way through the frames."""
-
-    run: TechniqueRun
-    history: bool
-    todo: set[int]
-    failed: bool = False
-    session: SessionLike | None = None
-    technique: Any = None
-    timings: list[Timing] = field(default_factory=list)
-    result: FrameLike | None = None
-    before: tuple[int, np.ndarray, np.ndarray] | None = None  # frame, visibility, positions; kept for flicker only
-
-    @property
-    def label(self) -> str:
-        return self.run.label
-
-    def replays(self, frame: int, next_frame: int) -> bool:
-        """Whether a frame that is stored already must be rendered again, untimed, for the sake of a later one.
-
-        Methods with history need all earlier frames. The others need only the one before: what stays the same between two
-        frames is not built again, and a row must not depend on whether the run was interrupted there.
-        """
-        if self.failed or not self.todo or frame in self.todo:
-            return False
-        return next_frame in self.todo or (self.history and frame < max(self.todo))
 
 
 def run(
@@ -158,7 +122,7 @@ class _Walkthrough:
         stored = store.done()
         failed = {row["label"] for row in store.rows("failures")}
         self.lanes = [
-            _Lane(
+            Lane(
                 run=run,
                 history=bool(getattr(getattr(engine.plugins[run.name], "needs", None), "history", False)),
                 todo={frame for frame in experiment.frames if (run.label, frame) not in stored},
@@ -190,7 +154,7 @@ class _Walkthrough:
                 self._attempt(lane, frame)
                 self._commit(lane, frame)
 
-    def _warm_up(self, lane: _Lane) -> None:
+    def _warm_up(self, lane: Lane) -> None:
         """Renders the first frame (with history: the second too, whose kernels differ) and forgets it."""
         try:
             lane.session, lane.technique = self.engine.open(lane.run)
@@ -204,7 +168,7 @@ class _Walkthrough:
         except Exception as error:
             self._fail(lane, self.experiment.frames[0], error)
 
-    def _render_timed(self, frame: int, lanes: list[_Lane]) -> None:
+    def _render_timed(self, frame: int, lanes: list[Lane]) -> None:
         reference = None
         if frame in self.reference_frames:
             self.tell(self.done, self.total, f"frame {frame}, reference")
@@ -220,7 +184,7 @@ class _Walkthrough:
                 self._store(lane, frame, reference)
                 self._commit(lane, frame)
 
-    def _attempt(self, lane: _Lane, frame: int) -> None:
+    def _attempt(self, lane: Lane, frame: int) -> None:
         assert lane.session is not None
         try:
             lane.session.begin(frame)
@@ -229,7 +193,7 @@ class _Walkthrough:
         except Exception as error:
             self._fail(lane, frame, error)
 
-    def _commit(self, lane: _Lane, frame: int) -> None:
+    def _commit(self, lane: Lane, frame: int) -> None:
         if lane.failed or lane.session is None or lane.result is None:
             return
         lane.session.advance()
@@ -237,7 +201,7 @@ class _Walkthrough:
             lane.before = (frame, lane.result.visibility, lane.result.world_position)
         lane.timings, lane.result = [], None
 
-    def _fail(self, lane: _Lane, frame: int, error: Exception) -> None:
+    def _fail(self, lane: Lane, frame: int, error: Exception) -> None:
         """Records a failure; the label is left out from here on and its memory is given back."""
         lane.failed = True
         lane.session = lane.technique = lane.before = lane.result = None
@@ -251,7 +215,7 @@ class _Walkthrough:
 
     # ---- Storing ----
 
-    def _store(self, lane: _Lane, frame: int, reference: tuple[np.ndarray, np.ndarray] | None) -> None:
+    def _store(self, lane: Lane, frame: int, reference: tuple[np.ndarray, np.ndarray] | None) -> None:
         result = lane.result
         assert result is not None
         key = {"technique": lane.run.name, "label": lane.label, "frame": frame}
@@ -270,27 +234,34 @@ class _Walkthrough:
             reference_standard_error=reference[1] if reference else None,
             previous=self._previous(lane, result),
         )
-        self.store.append("frames", [{
-            **key,
-            **timing_columns(lane.timings),
-            **metrics.evaluate(frozenset(self.experiment.metrics), measured),
-            "m_x_max": result.m_x_max,
-            "m_z_max": result.m_z_max,
-            "receiver_pixels": int(np.isfinite(result.visibility).sum()),
-        }])
+        self.store.append(
+            "frames",
+            [
+                {
+                    **key,
+                    **timing_columns(lane.timings),
+                    **metrics.evaluate(frozenset(self.experiment.metrics), measured),
+                    "m_x_max": result.m_x_max,
+                    "m_z_max": result.m_z_max,
+                    "receiver_pixels": int(np.isfinite(result.visibility).sum()),
+                }
+            ],
+        )
         lane.todo.discard(frame)
         self.done += 1
 
-    def _previous(self, lane: _Lane, result: FrameLike) -> np.ndarray | None:
+    def _previous(self, lane: Lane, result: FrameLike) -> np.ndarray | None:
         if lane.before is None:
             return None
         frame, visibility, position_ws = lane.before
-        return metrics.carry_over(visibility, position_ws, self.engine.ws_to_ss(frame), result.world_position)
+        return carry_over(visibility, position_ws, self.engine.ws_to_ss(frame), result.world_position)
 
     def _store_reference(self, frame: int, reference: tuple[np.ndarray, np.ndarray]) -> None:
         visibility, standard_error = reference
         write_exr(self.store.raw(None, "visibility", frame), visibility, f"reference visibility, frame {frame}")
-        write_exr(self.store.raw(None, "standard_error", frame), standard_error, f"reference standard error, frame {frame}")
+        write_exr(
+            self.store.raw(None, "standard_error", frame), standard_error, f"reference standard error, frame {frame}"
+        )
         write_png(self.store.view(None, "visibility", frame), visibility_view(visibility))
 
     def _store_images(
@@ -305,25 +276,3 @@ class _Walkthrough:
         write_png(store.view(label, "shaded", frame), shaded_view(result.color))
         if reference is not None:
             write_png(store.view(label, "error", frame), error_view(result.visibility, reference[0]))
-
-
-def timing_columns(timings: list[Timing]) -> dict[str, float]:
-    """Medians and quartiles of a frame's repeats, milliseconds, as columns of frames.csv."""
-    out: dict[str, float] = {}
-    for name in ("frame_ms", "shadow_ms"):
-        q1, median, q3 = np.percentile([getattr(timing, name) for timing in timings], [25, 50, 75])
-        out[name], out[f"{name}_q1"], out[f"{name}_q3"] = float(median), float(q1), float(q3)
-    out["fps"] = 1000.0 / out["frame_ms"] if out["frame_ms"] > 0.0 else float("nan")
-    return out
-
-
-def pass_medians(timings: list[Timing]) -> list[tuple[str, float]]:
-    """Median milliseconds per pass over the repeats, in order of first use; a repeat without the pass counts as 0."""
-    totals: list[dict[str, float]] = []
-    for timing in timings:
-        spent: dict[str, float] = {}
-        for name, ms in timing.passes:
-            spent[name] = spent.get(name, 0.0) + ms
-        totals.append(spent)
-    names = dict.fromkeys(name for spent in totals for name in spent)
-    return [(name, float(np.median([spent.get(name, 0.0) for spent in totals]))) for name in names]

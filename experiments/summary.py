@@ -11,7 +11,8 @@ import pandas as pd
 
 from experiments import metrics
 from experiments.images import read_exr
-from experiments.store import FRAME_COLUMNS, LEFT_OUT_COLUMNS, PASS_COLUMNS, Row, Store, table_text, write_text
+from experiments.store import FRAME_COLUMNS, LEFT_OUT_COLUMNS, PASS_COLUMNS, Store
+from experiments.tables import Row, table_text, write_text
 
 SUMMARISED = ("frame_ms", "shadow_ms", "fps", *metrics.METRICS, "m_x_max", "m_z_max")
 SUMMARY_COLUMNS = (
@@ -59,10 +60,10 @@ def _numeric(rows: Sequence[Row], columns: Sequence[str], exact: Sequence[str]) 
 def summarise(frames: pd.DataFrame, baseline: str) -> pd.DataFrame:
     """One row per label, in the order of first occurrence.
 
-    Medians and quartiles are over frames. ``*_ratio`` compares with the baseline frame by frame and then takes the median,
-    because a shared machine drifts: neighbours in time are comparable, averages are not. ``pareto`` marks labels that no
-    other label beats in both frame time and RMSE. ``distinguishable`` says whether the RMSE exceeds twice the reference's
-    standard error; ``distinguishable_from_baseline`` the same of the difference to the baseline's RMSE.
+    Medians and quartiles are over frames. ``*_ratio`` compares with the baseline frame by frame and then takes the
+    median, because a shared machine drifts: neighbours in time are comparable, averages are not. ``pareto`` marks labels
+    that no other label beats in both frame time and RMSE. ``distinguishable`` says whether the RMSE exceeds twice the
+    reference's standard error; ``distinguishable_from_baseline`` the same of the difference to the baseline's RMSE.
 
     Args:
         frames: As ``load_frames`` gives it.
@@ -83,7 +84,9 @@ def summarise(frames: pd.DataFrame, baseline: str) -> pd.DataFrame:
     table = pd.DataFrame(rows, columns=list(SUMMARY_COLUMNS))
     table["pareto"] = pareto_front(table["frame_ms"].to_numpy(float), table["rmse"].to_numpy(float))
     error = table["reference_standard_error"]
-    base_rmse = float(table.loc[table["label"] == baseline, "rmse"].iloc[0]) if baseline in set(table["label"]) else np.nan
+    base_rmse = (
+        float(table.loc[table["label"] == baseline, "rmse"].iloc[0]) if baseline in set(table["label"]) else np.nan
+    )
     pairs = list(zip(table["rmse"], error, strict=True))
     table["distinguishable"] = pd.Series([metrics.distinguishable(a, b) for a, b in pairs], dtype=object)
     table["distinguishable_from_baseline"] = pd.Series(

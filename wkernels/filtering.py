@@ -153,6 +153,23 @@ def depth_at(light_map: LightMap, layer: int, position: wp.vec2):
 
 
 @wp.func
+def tap_depth(receiver: Receiver, dx: float, dy: float):
+    """Depth of the receiver's plane under a tap [texels], for a comparison with the texel that the tap falls into.
+
+    The plane's slope, and the bias that one texel needs, grow with 1/scale^2 towards the plane's horizon (exactly so in
+    a perspective map). Where the bias outgrows the rise, and beyond the horizon, the receiver's own depth is what is left.
+    """
+    scale = receiver.plane_scale[0] * dx + receiver.plane_scale[1] * dy + 1.0
+    depth = receiver.depth
+    if scale >= 1.0:
+        depth = receiver_depth_at(receiver, dx, dy)
+    elif scale > 0.0:
+        rise = receiver.plane_depth[0] * dx + receiver.plane_depth[1] * dy + receiver.plane_depth[2]
+        depth = wp.max(depth, (rise - receiver.bias / scale) / scale)
+    return depth
+
+
+@wp.func
 def penumbra_filter(
     light_map: LightMap, receiver: Receiver, spread: wp.mat22, taps: wp.array(dtype=wp.vec2), bilinear: int
 ):
@@ -172,7 +189,7 @@ def penumbra_filter(
             total += compare_bilinear(light_map, receiver, at[0] - receiver.x, at[1] - receiver.y)
         else:
             at = tap_position(light_map, receiver, spread * taps[i], BORDER)
-            depth = receiver_depth_at(receiver, at[0] - receiver.x, at[1] - receiver.y)
+            depth = tap_depth(receiver, at[0] - receiver.x, at[1] - receiver.y)
             total += wp.where(depth <= depth_at(light_map, receiver.layer, at), 1.0, 0.0)
     return total / float(taps.shape[0])
 
@@ -188,7 +205,7 @@ def mean_blocker_depth(light_map: LightMap, receiver: Receiver, spread: wp.mat22
     for i in range(taps.shape[0]):
         at = tap_position(light_map, receiver, spread * taps[i], BORDER)
         stored = depth_at(light_map, receiver.layer, at)
-        if receiver_depth_at(receiver, at[0] - receiver.x, at[1] - receiver.y) > stored:
+        if tap_depth(receiver, at[0] - receiver.x, at[1] - receiver.y) > stored:
             total += stored
             count += 1.0
     return wp.vec2(total / wp.max(count, 1.0), count)

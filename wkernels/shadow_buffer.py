@@ -14,8 +14,12 @@ import warp as wp
 from wkernels.estimators import FLOAT16_LIMIT, FLOAT32_LIMIT
 from wkernels.gbuffer import GBuffer
 from wkernels.geometry import RECEIVES
-from wkernels.reprojection import accept_absolute, nearest_texel, reproject
+from wkernels.reprojection import accept_absolute, is_inside, reproject
 from wkernels.views import View, pixel_along_ws, pixel_base_ws
+
+BILINEAR, NEAREST = 256.0, 1.0
+"""Steps a texel for ``fetch_record``. With the nearest texel history sticks to the screen under an eye that moves by less
+than half a pixel a frame; at 0.3 pixels and 64 frames that makes the error of a penumbra five times larger."""
 
 EDGE_ON = wp.constant(1.0e-3)  # a plane seen at a smaller sine of the angle tells nothing about the next pixel's depth
 
@@ -104,6 +108,32 @@ def depth_on_plane(view: View, x_px: float, y_px: float, position_ws: wp.vec3, n
 
 
 @wp.func
+def held_record(
+    previous: wp.array2d(dtype=Any),
+    view: View,
+    x: int,
+    y: int,
+    position_ws: wp.vec3,
+    normal_ws: wp.vec3,
+    depth: float,
+    epsilon: float,
+    rounding: float,
+) -> ShadowRecord:
+    """The record of one texel if the receiver's surface was seen there, else n = 0; arguments as for ``fetch_record``.
+
+    Equation 4, |d_k - d_(k-1)| < epsilon, at the texel's centre: the receiver's plane gives d_k there (``depth`` where the
+    plane is seen edge-on). The point's own depth would reject slanted ground as soon as the eye moves.
+    """
+    result = ShadowRecord()
+    if x >= 0 and y >= 0 and x < view.width and y < view.height:
+        held = read_record(previous, y, x, view.far)
+        expected = depth_on_plane(view, float(x) + 0.5, float(y) + 0.5, position_ws, normal_ws, depth)
+        if accept_absolute(expected, held.depth, epsilon + rounding * held.depth):
+            result = held
+    return result
+
+
+@wp.func
 def fetch_record(
     previous: wp.array2d(dtype=Any),
     previous_view: View,
@@ -111,11 +141,12 @@ def fetch_record(
     normal_ws: wp.vec3,
     epsilon: float,
     rounding: float,
+    texel_steps: float,
 ) -> ShadowRecord:
-    """History of a receiver point: the texel it fell into in the previous frame, if the same surface was seen there.
+    """History of a receiver point, from the texels around the place where the previous frame saw it.
 
-    Equation 4, |d_k - d_(k-1)| < epsilon. The texel's centre is up to half a pixel away from the point, so that d_k is taken
-    there, on the receiver's plane: on slanted ground the plain difference would reject everything as soon as the eye moves.
+    Of the four texels of a bilinear fetch only those count that saw the same surface and hold something: each is tested by
+    its own depth, so that nothing is mixed with another surface or with a texel that knows nothing.
 
     Args:
         previous: Texels of the previous frame, written for ``previous_view``.
@@ -124,20 +155,42 @@ def fetch_record(
         normal_ws: Its unit normal.
         epsilon: Scene units.
         rounding: Relative error of stored depths, ``Storage.rounding``, granted on top of ``epsilon``.
+        texel_steps: To how many steps a texel the place is rounded: ``BILINEAR`` as in texture units, so that a still eye
+            hits texel centres exactly, or ``NEAREST``.
 
     Returns:
         The record; n = 0 where the point is new.
     """
     result = ShadowRecord()
     at = reproject(previous_view, position_ws)
-    texel = nearest_texel(previous_view, at[0], at[1])
-    if texel[0] >= 0:
-        held = read_record(previous, texel[1], texel[0], previous_view.far)
-        depth = depth_on_plane(
-            previous_view, float(texel[0]) + 0.5, float(texel[1]) + 0.5, position_ws, normal_ws, at[2]
-        )
-        if accept_absolute(depth, held.depth, epsilon + rounding * held.depth):
-            result = held
+    if is_inside(previous_view, at[0], at[1]):
+        x = wp.round((at[0] - 0.5) * texel_steps) / texel_steps
+        y = wp.round((at[1] - 0.5) * texel_steps) / texel_steps
+        column = int(wp.floor(x))
+        row = int(wp.floor(y))
+        share_x = x - wp.floor(x)
+        share_y = y - wp.floor(y)
+        total = float(0.0)
+        known_rise = float(0.0)
+        for dy in range(2):
+            for dx in range(2):
+                share = wp.where(dx == 1, share_x, 1.0 - share_x) * wp.where(dy == 1, share_y, 1.0 - share_y)
+                held = ShadowRecord()
+                if share > 0.0:
+                    held = held_record(
+                        previous, previous_view, column + dx, row + dy, position_ws, normal_ws, at[2], epsilon, rounding
+                    )
+                if held.n > 0.0:
+                    total += share
+                    result.rho += share * held.rho
+                    result.n += share * held.n
+                    if held.blocker_rise > 0.0:
+                        known_rise += share
+                        result.blocker_rise += share * held.blocker_rise
+        if total > 0.0:
+            result.rho = result.rho / total
+            result.n = result.n / total
+            result.blocker_rise = result.blocker_rise / wp.max(known_rise, 1.0e-6)
     return result
 
 

@@ -13,8 +13,9 @@ Deviations, where the paper is silent or wrong:
 - n = 1 has no standard error (equation 3 is 0/0): 1. The first frame, like any new point, starts from n = 0.
 - The start is not followed by the same map's hard test: its taps have seen that map already.
 - Equation 4 compares absolute depths, in what unit is not said: ``depth_epsilon`` is a share of the scene's diagonal (the
-  thesis compares relative depths). It is tested at the centre of the history texel, on the receiver's plane; history is read
-  from the nearest texel, so that no two surfaces are mixed.
+  thesis compares relative depths). It is tested at the centre of each history texel, on the receiver's plane, and only texels
+  that pass are interpolated: no surface is mixed with another. ``history: nearest`` reads one texel, but history then
+  sticks to the screen under an eye that moves by less than half a pixel a frame.
 - Equation 6 maps a length to the near plane only; here it is pixels, pw H / (2 depth tan(fov / 2)).
 - Equation 7 counts frames, but only frames with a blocker add to its sum: shadowed samples are counted.
 - n stops at 2048 in the published float16 buffer while rho goes on: ``buffer: float16`` halves both at 1024 (float32 at 2^22).
@@ -22,7 +23,8 @@ Deviations, where the paper is silent or wrong:
   anything on a surface that moves itself: the next frame starts anew, so nothing trails.
 
 Known artefacts: noise and flicker while n is small and where moving and static penumbrae overlap; SE = 0 is false certainty where
-all tests agree so far; nearest-texel history lags behind an eye that moves by less than half a pixel a frame.
+all tests agree so far; the filter blurs penumbrae that are still above t (psi = 1/2: until n = 626); history blurs a little
+with every frame in which the eye moves.
 """
 
 from __future__ import annotations
@@ -50,6 +52,8 @@ from wkernels.gbuffer import GBuffer, is_back_lit
 from wkernels.geometry import MOVES, RECEIVES
 from wkernels.light_map import Bias, LightMap, Receiver, locate, locate_receiver, receiver_depth_at, stored_depth, to_light
 from wkernels.shadow_buffer import (
+    BILINEAR,
+    NEAREST,
     TEXEL_TYPES,
     ShadowRecord,
     Storage,
@@ -81,6 +85,7 @@ class Settings:
     filter_taps: wp.array(dtype=wp.vec2)
     first_blockers: float  # k of equation 7
     depth_epsilon: float  # scene units
+    texel_steps: float  # BILINEAR or NEAREST
     smooths: int
     error_threshold: float  # t
 
@@ -149,7 +154,13 @@ def update_shadow_buffer(
 
         if settings.has_history != 0 and not moved:
             record = fetch_record(
-                previous, previous_view, position_ws, normal_ws, settings.depth_epsilon, settings.storage.rounding
+                previous,
+                previous_view,
+                position_ws,
+                normal_ws,
+                settings.depth_epsilon,
+                settings.storage.rounding,
+                settings.texel_steps,
             )
         is_new = record.n <= 0.0
         is_estimated = is_new and settings.starts_with_pcss != 0
@@ -256,6 +267,9 @@ class TcSoftPaper(Technique):
         depth_epsilon: float = setting(
             1e-4, "largest depth difference of a point and its history", unit="scene diagonals", gt=0.0, le=1.0
         )
+        history: Literal["bilinear", "nearest"] = setting(
+            "bilinear", "how the shadow buffer of the last frame is read", unit="name"
+        )
         overscan: float = setting(
             0.05, "how much larger than the frame the shadow buffer is", unit="frame sizes", source="sec. 4", ge=0.0, le=1.0
         )
@@ -313,5 +327,6 @@ class TcSoftPaper(Technique):
         out.blocker_taps, out.filter_taps = (pull_taps(frame, "box", n) for n in (p.blocker_taps, p.filter_taps))
         out.first_blockers = float(p.blocker_taps) if p.start == "pcss" else 0.0
         out.depth_epsilon = p.depth_epsilon * frame.reach
+        out.texel_steps = BILINEAR if p.history == "bilinear" else NEAREST
         out.smooths, out.error_threshold = int(p.filter), p.error_threshold
         return out

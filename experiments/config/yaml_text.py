@@ -38,6 +38,8 @@ def read_yaml(text: str, file: str | None) -> tuple[Any, yaml.Node]:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         what = error.problem or error.context or "cannot be parsed"
+        if "<stream end>" in what and error.context_mark:  # what was opened and never closed says more than the end
+            mark = error.context_mark
         raise InputError(f"is not valid YAML: {what}.", file=file, line=mark.line + 1 if mark else None) from None
     except yaml.reader.ReaderError as error:
         line = text[: error.position].count("\n") + 1

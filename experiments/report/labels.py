@@ -11,7 +11,8 @@ from matplotlib.text import Annotation
 from matplotlib.transforms import Bbox
 
 _DIRECTIONS = tuple(
-    (np.cos(angle), np.sin(angle)) for angle in np.radians([0, 180, 45, -45, 135, -135, 90, -90, 22, -22, 158, -158, 68, -68])
+    (np.cos(angle), np.sin(angle))
+    for angle in np.radians([0, 180, 45, -45, 135, -135, 90, -90, 22, -22, 158, -158, 68, -68])
 )
 _POINT_RADIUS = 5.0  # display points kept free around each marker
 _LEADER_FROM = 16.0  # display points from which on a text needs a line to its point
@@ -27,8 +28,7 @@ def place_labels(
 ) -> list[Annotation]:
     """Writes each text near its point, clear of the other texts and, where possible, of all markers and strokes.
 
-    Greedy: each text takes the nearest free place around its point, and gets a thin line to the point if that is further
-    off.
+    Greedy: each text takes the nearest free place around its point, and gets a thin line to the point if that is far.
 
     Args:
         axes: The final axes: limits, scales and figure size must not change afterwards.
@@ -105,7 +105,7 @@ def _free_place(
             reach = np.array([0.5 * width + radius, 0.5 * height + radius])
             offset = np.array([dx, dy]) * reach
             centre = place + offset
-            box = Bbox.from_extents(*(centre - [0.5 * width, 0.5 * height]), *(centre + [0.5 * width, 0.5 * height]))
+            box = Bbox.from_bounds(centre[0] - 0.5 * width, centre[1] - 0.5 * height, width, height)
             if _count(box, taken):  # never, whatever the cost
                 continue
             outside = max(frame.x0 - box.x0, box.x1 - frame.x1, frame.y0 - box.y0, box.y1 - frame.y1, 0.0)

@@ -58,10 +58,12 @@ def error_scale_css() -> tuple[str, list[tuple[float, str]]]:
     """The error scale as a CSS gradient, and its ticks as (position in percent, text)."""
     stops = []
     for place in np.linspace(-1.0, 1.0, 33):
-        red, green, blue = error_colors(np.array([np.sign(place) * place * place]))[0]
+        red, green, blue = error_colors(np.sign(place) * place * place)
         stops.append(f"rgb({red} {green} {blue}) {50.0 + 50.0 * place:.3g}%")
     ticks = [-1.0, -0.5, -0.25, -0.1, -0.02, 0.0, 0.02, 0.1, 0.25, 0.5, 1.0]
-    places = [(50.0 + 50.0 * float(np.sign(tick) * np.sqrt(abs(tick))), f"{tick:+g}" if tick else "0") for tick in ticks]
+    places = [
+        (50.0 + 50.0 * float(np.sign(tick) * np.sqrt(abs(tick))), f"{tick:+g}" if tick else "0") for tick in ticks
+    ]
     return f"linear-gradient(to right, {', '.join(stops)})", places
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, PercentFormatter
 
 from experiments.report.labels import place_labels
 
@@ -42,7 +43,13 @@ _STYLE: dict[str, Any] = {
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#8c6bb1", "#b8860b", "#2f4b7c")
 _MARKERS = "osD^vPX<>h*"
 _DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (6, 2, 1, 2)))
-_FAINT = 0.35
+_FAINT = 0.45
+_SMALL = 0.01
+
+
+def _styled() -> AbstractContextManager[None]:
+    style: Any = _STYLE  # matplotlib's type of this argument lists every key by name
+    return rc_context(style)
 
 
 class Look:
@@ -68,7 +75,7 @@ def save(figure: Figure, path: Path, suffixes: Sequence[str]) -> None:
     """Writes ``path`` with each suffix; dates are left out so that the same data gives the same bytes."""
     path.parent.mkdir(parents=True, exist_ok=True)
     dates: dict[str, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
-    with rc_context(_STYLE):
+    with _styled():
         for suffix in suffixes:
             metadata: Any = dates.get(suffix, {})
             figure.savefig(
@@ -79,13 +86,15 @@ def save(figure: Figure, path: Path, suffixes: Sequence[str]) -> None:
 def inline_svg(figure: Figure) -> str:
     """The figure as an SVG element whose ink follows the page's text colour."""
     text = io.StringIO()
-    with rc_context(_STYLE):
+    with _styled():
         figure.savefig(text, format="svg", transparent=True, bbox_inches="tight", metadata={"Date": None})
     svg = text.getvalue()
     return svg[svg.index("<svg") :].replace(INK, "currentColor")
 
 
-def error_vs_time(summary: pd.DataFrame, look: Look, *, errors: str = "rmse", title: str = "RMSE of visibility") -> Figure:
+def error_vs_time(
+    summary: pd.DataFrame, look: Look, *, errors: str = "rmse", title: str = "RMSE of visibility"
+) -> Figure:
     """Median error against median frame time, quartile bars over frames, Pareto front drawn, dominated points faint.
 
     Args:
@@ -95,7 +104,7 @@ def error_vs_time(summary: pd.DataFrame, look: Look, *, errors: str = "rmse", ti
         title: Name of the error on its axis.
     """
     known = summary[np.isfinite(summary["frame_ms"]) & np.isfinite(summary[errors])]
-    with rc_context(_STYLE):
+    with _styled():
         figure, axes = _figure(8.0, 5.2)
         axes.set_xlabel("frame time [ms] (median and quartiles over frames)")
         axes.set_ylabel(f"{title} (median and quartiles)")
@@ -124,7 +133,13 @@ def error_vs_time(summary: pd.DataFrame, look: Look, *, errors: str = "rmse", ti
         low, high = axes.get_ylim()
         if np.isfinite(limit) and limit > low and errors == "rmse":
             axes.axhspan(low, min(limit, high), color="#8a93a6", alpha=0.15, lw=0, zorder=0)
-            where = {"ha": "right", "va": "bottom", "fontsize": 8, "alpha": 0.8, "transform": axes.get_yaxis_transform()}
+            where: dict[str, Any] = {
+                "ha": "right",
+                "va": "bottom",
+                "fontsize": 8,
+                "alpha": 0.8,
+                "transform": axes.get_yaxis_transform(),
+            }
             axes.text(0.995, low, "within 2 standard errors of the reference", **where)
             axes.set_ylim(low, high)
         labels = list(known["label"])
@@ -132,7 +147,10 @@ def error_vs_time(summary: pd.DataFrame, look: Look, *, errors: str = "rmse", ti
         points = list(zip(known["frame_ms"], known[errors], strict=True))
         for row in known.to_dict("records"):
             x, y = row["frame_ms"], row[errors]
-            strokes += [(row["frame_ms_q1"], y, row["frame_ms_q3"], y), (x, row[f"{errors}_q1"], x, row[f"{errors}_q3"])]
+            strokes += [
+                (row["frame_ms_q1"], y, row["frame_ms_q3"], y),
+                (x, row[f"{errors}_q1"], x, row[f"{errors}_q3"]),
+            ]
         place_labels(axes, points, labels, colors, 9.0, strokes)
         return figure
 
@@ -161,7 +179,7 @@ def per_frame(frames: pd.DataFrame, look: Look, column: str, title: str, *, log:
         log: Logarithmic axis.
         sparse: Mark each value, because few frames have one.
     """
-    with rc_context(_STYLE):
+    with _styled():
         figure, axes = _figure(8.0, 4.0)
         axes.set_xlabel("frame")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -191,7 +209,7 @@ def per_frame(frames: pd.DataFrame, look: Look, column: str, title: str, *, log:
 def frame_times(frames: pd.DataFrame, look: Look) -> Figure:
     """Distribution of frame times over frames, a box per label (median, quartiles, range)."""
     labels = list(dict.fromkeys(frames["label"]))
-    with rc_context(_STYLE):
+    with _styled():
         figure, axes = _figure(8.0, 0.9 + 0.36 * len(labels))
         values = [frames.loc[frames["label"] == label, "frame_ms"].to_numpy(float) for label in labels]
         boxes = axes.boxplot(
@@ -214,24 +232,35 @@ def frame_times(frames: pd.DataFrame, look: Look) -> Figure:
 
 
 def pass_times(passes: pd.DataFrame, labels: Sequence[str]) -> Figure:
-    """Mean milliseconds per frame of each pass, one stacked bar per label."""
-    with rc_context(_STYLE):
-        figure, axes = _figure(8.0, 1.2 + 0.36 * len(labels))
-        frames = passes.groupby("label")["frame"].nunique()
+    """Each pass's share of the frame time, one stacked bar per label, with its mean milliseconds at the end.
+
+    Shares, because one slow label would leave nothing to see of the others; passes below ``_SMALL`` everywhere are one.
+    """
+    with _styled():
         table = passes.groupby(["label", "pass"], sort=False)["ms"].sum().unstack(fill_value=0.0)
         table = table.reindex([label for label in labels if label in table.index])
-        table = table.div(frames.reindex(table.index), axis=0)
-        left = np.zeros(len(table))
-        rows = np.arange(len(table))
-        for i, name in enumerate(dict.fromkeys(passes["pass"])):
-            width = table[name].to_numpy(float)
-            hatch = "" if i < len(_COLORS) else "///"
+        totals = table.sum(axis=1)
+        share = table.div(totals.where(totals > 0.0, 1.0), axis=0)
+        order = [name for name in dict.fromkeys(passes["pass"]) if share[name].max() >= _SMALL]
+        rest = share.drop(columns=order).sum(axis=1)
+        shares = [(name, share[name].to_numpy(float)) for name in order]
+        if rest.max() > 0.0:
+            shares.append((f"others, each below {_SMALL:.0%}", rest.to_numpy(float)))
+        figure, axes = _figure(8.0, 1.2 + 0.36 * len(table))
+        left, rows = np.zeros(len(table)), np.arange(len(table))
+        for i, (name, width) in enumerate(shares):
+            hatch = ("", "///", "...")[i // len(_COLORS) % 3]
             axes.barh(rows, width, 0.62, left, color=_COLORS[i % len(_COLORS)], hatch=hatch, label=name, alpha=0.9)
             left += width
+        per_frame_ms = totals / passes.groupby("label")["frame"].nunique().reindex(table.index)
+        for row, ms in zip(rows, per_frame_ms, strict=True):
+            axes.text(1.01, float(row), f"{ms:.3g} ms" if ms < 1000.0 else f"{ms:.0f} ms", va="center", fontsize=9)
+        axes.set_xlim(0.0, 1.0)
+        axes.xaxis.set_major_formatter(PercentFormatter(1.0))
         axes.set_yticks(rows, list(table.index))
         axes.invert_yaxis()
-        axes.set_xlabel("mean time per frame [ms]")
-        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=9)
+        axes.set_xlabel("share of the frame time; right: mean per frame")
+        axes.legend(loc="center left", bbox_to_anchor=(1.13, 0.5), fontsize=9)
         return figure
 
 

@@ -16,7 +16,8 @@ from experiments.images import ERROR_SCALE
 from experiments.metrics import METRICS
 from experiments.report import plots
 from experiments.report.pictures import error_scale_css, picture_frames
-from experiments.store import Store, write_text
+from experiments.store import Store
+from experiments.tables import write_text
 from wkernels.errors import InputError
 
 _PAPER = ("png", "svg", "pdf")
@@ -71,7 +72,9 @@ def _draw(frames: pd.DataFrame, passes: pd.DataFrame, table: pd.DataFrame) -> di
     return out
 
 
-def _page(store: Store, frames: pd.DataFrame, passes: pd.DataFrame, table: pd.DataFrame, svgs: dict[str, Markup]) -> str:
+def _page(
+    store: Store, frames: pd.DataFrame, passes: pd.DataFrame, table: pd.DataFrame, svgs: dict[str, Markup]
+) -> str:
     environment = store.environment()
     run = environment["run"]
     labels = list(table["label"])
@@ -79,7 +82,10 @@ def _page(store: Store, frames: pd.DataFrame, passes: pd.DataFrame, table: pd.Da
     with_errors = set(frames.loc[frames["rmse"].notna(), "frame"].astype(int))
     all_pictures = [frame for frame in with_images if frame in with_errors] or with_images
     gradient, ticks = error_scale_css()
-    shown_metrics = [metric for metric in METRICS.values() if table[metric.name].notna().any()]
+    # The reference's own error is one fact about the run, not a column that repeats it.
+    shown_metrics = [
+        m for m in METRICS.values() if m.name != "reference_standard_error" and table[m.name].notna().any()
+    ]
     page = Environment(
         loader=PackageLoader("experiments.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
@@ -95,6 +101,7 @@ def _page(store: Store, frames: pd.DataFrame, passes: pd.DataFrame, table: pd.Da
         headline=headline(table, run["baseline"]),
         summary=table.to_dict("records"),
         metrics=shown_metrics,
+        reference_error=float(table["reference_standard_error"].median()),
         papers={entry["label"]: ", ".join(entry["paper"]) for entry in run["labels"]},
         svgs=svgs,
         pictures=picture_frames(store, labels, all_pictures),

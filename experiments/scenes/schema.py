@@ -8,9 +8,12 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from experiments.config.source import StrictModel
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-Vector3 = tuple[float, float, float]
+_LARGEST = 1e12  # so that squared lengths stay finite in float32
+Coordinate = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
+Positive = Annotated[float, Field(gt=0, le=_LARGEST)]
+NonNegative = Annotated[float, Field(ge=0, le=_LARGEST)]
+Vector3 = tuple[Coordinate, Coordinate, Coordinate]
+Frame = Annotated[int, Field(ge=-1_000_000, le=1_000_000)]
 Reflectance = Annotated[float, Field(ge=0, le=1)]
 Name = Annotated[str, Field(min_length=1)]
 
@@ -42,7 +45,7 @@ class Transform(StrictModel):
 class MotionKeyframe(Transform):
     """A transform at a frame."""
 
-    frame: int
+    frame: Frame
 
 
 class Motion(StrictModel):
@@ -212,7 +215,7 @@ class CameraOptions(StrictModel):
 class CameraKeyframe(StrictModel):
     """Eye and target at a frame."""
 
-    frame: int
+    frame: Frame
     eye: Vector3
     target: Vector3
 
@@ -222,9 +225,9 @@ class Orbit(StrictModel):
 
     center: Vector3
     radius: Positive
-    height: float = 0.0
-    degrees: float = 360.0
-    start_deg: float = 0.0
+    height: Coordinate = 0.0
+    degrees: Coordinate = 360.0
+    start_deg: Coordinate = 0.0
 
 
 class PathOptions(StrictModel):

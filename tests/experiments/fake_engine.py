@@ -48,11 +48,13 @@ PLUGINS = {"flat": Flat, "remembering": Remembering}
 
 def camera(frame: int) -> Camera:
     eye = np.array([0.02 * frame, 2.0, 5.0])
-    return Camera(eye, eye + [0.0, -0.5, -1.0], np.array([0.0, 1.0, 0.0]), 50.0, 0.1, 100.0)
+    return Camera(eye, eye + np.array([0.0, -0.5, -1.0]), np.array([0.0, 1.0, 0.0]), 50.0, 0.1, 100.0)
 
 
 def make_scene(frames: int = 6) -> Scene:
-    floor = Mesh("floor", np.array([[-9.0, 0, -9], [-9, 0, 9], [9, 0, 9], [9, 0, -9]]), np.array([[0, 1, 2], [0, 2, 3]]))
+    floor = Mesh(
+        "floor", np.array([[-9.0, 0, -9], [-9, 0, 9], [9, 0, 9], [9, 0, -9]]), np.array([[0, 1, 2], [0, 2, 3]])
+    )
     light = RectangleLight(center=np.array([0.0, 9, 0]), edge_u=np.array([2.0, 0, 0]), edge_v=np.array([0.0, 0, 2]))
     return Scene("fake", (floor,), (light,), camera, frames, "0123456789abcdef")
 

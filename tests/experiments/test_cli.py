@@ -37,6 +37,8 @@ def wkernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     Path("scene.yaml").write_text(SCENE)
     Path("e.yaml").write_text(EXPERIMENT)
+    Path("broken.py").write_text("x = 1\ndef f(:\n")
+    Path("unreadable.yaml").write_text("kind: [walkthrough\n")
 
     def run(*arguments: str) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["wkernels", *arguments])
@@ -68,6 +70,13 @@ def test_help_names_every_command(wkernels: Run) -> None:
         (["run", "absent.yaml"], "error: absent.yaml: no such file."),
         (["run", "e.yaml", "--set", "image.width=0"], "error: --set image.width=0: image.width: must be at least 1, not 0."),
         (["run", "e.yaml", "--set", "techniques=[shadowmap]"], "there is no technique 'shadowmap'. Did you mean 'shadow_map'?"),
+        (["run", "e.yaml", "--set", "techniques=[pcss]"], "'pcss' needs a light with an area; this point light has none"),
+        (["run", "e.yaml", "--set", "scene.camera.fov_deg=.nan"], "scene.camera.fov_deg: must be a finite number, not nan."),
+        (["run", "e.yaml", "--set", "scene.meshes.1.size=[1, -1, 1]"], "scene.meshes.1.size.1: must be"),
+        (["run", "e.yaml", "--set", "scene.meshes.0={file: absent.obj}"], "absent.obj"),
+        (["run", "e.yaml", "--set", "frames=0"], "--set frames=0: frames: must be at least 1"),
+        (["run", "e.yaml", "--plugin", "broken.py"], "error: broken.py:2: cannot be imported: SyntaxError"),
+        (["run", "unreadable.yaml"], "error: unreadable.yaml:1: is not valid YAML"),
         (["run", "e.yaml", "--device", "gpu"], "there is no device 'gpu'."),
         (["run", "e.yaml", "--plugin", "absent.py"], "error: absent.py: plugin file does not exist"),
         (["explain", "scene.yaml"], "error: scene.yaml:1: meshes: is not a known key."),
@@ -168,7 +177,7 @@ def test_explain_renders_nothing(wkernels: Run, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr("wkernels.frame.Session.render", render)
     status, out, _ = wkernels("explain", "e.yaml")
     assert status == 0 and "shadow_map" in out
-    assert sorted(path.name for path in Path().iterdir()) == ["e.yaml", "scene.yaml"]
+    assert not Path("out").exists()
 
 
 def test_render_writes_visibility(wkernels: Run) -> None:

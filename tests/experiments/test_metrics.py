@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from fake_engine import HEIGHT, WIDTH, camera, floor_positions, true_visibility
 
-from experiments.metrics import METRICS, Measured, carry_over, distinguishable, evaluate, flip_map
+from experiments.carry_over import carry_over
+from experiments.metrics import METRICS, Measured, distinguishable, evaluate, flip_map
 from wkernels.views import eye_view
 
 EVERY = frozenset(METRICS)

@@ -69,7 +69,9 @@ def test_summary_against_a_direct_computation() -> None:
 
 
 def test_unknown_errors_stay_unknown() -> None:
-    table = summary.summarise(make_frames([("a", 0, 2.0, None, None), ("b", 0, 3.0, None, None)]), "b").set_index("label")
+    table = summary.summarise(make_frames([("a", 0, 2.0, None, None), ("b", 0, 3.0, None, None)]), "b").set_index(
+        "label"
+    )
     assert table["rmse"].isna().all() and not table["pareto"].any()
     assert table["distinguishable"].tolist() == [None, None]
 
@@ -86,7 +88,8 @@ def test_pareto_front_against_brute_force() -> None:
         error[rng.integers(12)] = np.nan
         points = list(zip(cost, error, strict=True))
         expected = [
-            np.isfinite(e) and not any((c2 <= c and e2 <= e and (c2, e2) != (c, e)) for c2, e2 in points if np.isfinite(e2))
+            np.isfinite(e)
+            and not any((c2 <= c and e2 <= e and (c2, e2) != (c, e)) for c2, e2 in points if np.isfinite(e2))
             for c, e in points
         ]
         assert summary.pareto_front(cost, error).tolist() == expected
@@ -132,7 +135,9 @@ def test_recomputing_reads_the_images_and_only_them(copy: Path) -> None:
     changed = {name for name, text in after["cheap", "2"].items() if text != before["cheap", "2"][name]}
     assert changed == {"rmse", "mean_signed_error", "p99_error", "flip"}
     assert store.environment()["metrics"]["rmse"] == 1
-    assert store.environment()["metrics"]["flicker"] == 0  # cannot be computed from single images, so it is still the old one
+    assert (
+        store.environment()["metrics"]["flicker"] == 0
+    )  # cannot be computed from single images, so it is still the old one
 
 
 # ---- Page and plots ----
@@ -197,7 +202,14 @@ def test_labels_cannot_inject_markup(tmp_path: Path) -> None:
 def test_report_needs_only_the_folder_and_repeats_itself(copy: Path) -> None:
     before = {path: path.read_bytes() for path in copy.rglob("*") if path.suffix in (".html", ".svg", ".png", ".pdf")}
     names = {path.name for path in (copy / "plots").iterdir()}
-    assert {"error_vs_time.png", "error_vs_time.pdf", "fps.png", "error_per_frame.png", "frame_ms.png", "passes.png"} <= names
+    assert {
+        "error_vs_time.png",
+        "error_vs_time.pdf",
+        "fps.png",
+        "error_per_frame.png",
+        "frame_ms.png",
+        "passes.png",
+    } <= names
     shutil.rmtree(copy / "plots")
     (copy / "summary.csv").unlink()
     assert write_report(copy) == copy / "report.html"
@@ -250,7 +262,9 @@ def test_crowded_labels_never_overlap() -> None:
     points = [(1.0 + 0.02 * x, 1.0 + 0.02 * y) for x, y in rng.random((30, 2))]  # all within a few pixels
     axes.set_xlim(0, 3)
     axes.set_ylim(0, 3)
-    notes = place_labels(axes, points, [f"technique_{i}[taps={4**(i % 4)}]" for i in range(30)], ["#000000"] * 30, 9.0)
+    notes = place_labels(
+        axes, points, [f"technique_{i}[taps={4 ** (i % 4)}]" for i in range(30)], ["#000000"] * 30, 9.0
+    )
     boxes = [note.get_window_extent(renderer) for note in notes]
     assert not [(i, j) for i in range(30) for j in range(i) if boxes[i].overlaps(boxes[j])]
     frame = axes.get_window_extent(renderer)

@@ -17,7 +17,8 @@ from fake_engine import HEIGHT, WIDTH, FakeEngine, make_experiment, make_run, tr
 from experiments import metrics
 from experiments.config.schema import Experiment
 from experiments.images import read_exr
-from experiments.runner import TechniquesFailed, Timing, pass_medians, run, timing_columns
+from experiments.lanes import Timing, pass_medians, timing_columns
+from experiments.runner import TechniquesFailed, run
 from experiments.store import FRAME_COLUMNS, TABLES, Store
 from wkernels.errors import InputError
 
@@ -116,12 +117,16 @@ def test_flicker_follows_surfaces_and_starts_on_the_second_frame(tmp_path: Path)
 
 def test_a_failing_technique_is_recorded_and_the_others_go_on(tmp_path: Path) -> None:
     runs = [make_run("good"), make_run("bad", fails_on=2), make_run("late", "remembering", fails_on=3)]
-    with pytest.raises(TechniquesFailed, match="'bad' failed on frame 2: ValueError: deliberate, over two lines") as caught:
+    with pytest.raises(
+        TechniquesFailed, match="'bad' failed on frame 2: ValueError: deliberate, over two lines"
+    ) as caught:
         finished(tmp_path, make_experiment(runs))
     assert caught.value.labels == ("bad", "late") and caught.value.out == tmp_path
     store = Store(tmp_path)
     assert [(row["label"], row["frame"]) for row in store.rows("failures")] == [("bad", "2"), ("late", "3")]
-    frames = {label: [int(r["frame"]) for r in store.rows("frames") if r["label"] == label] for label in caught.value.labels}
+    frames = {
+        label: [int(r["frame"]) for r in store.rows("frames") if r["label"] == label] for label in caught.value.labels
+    }
     assert frames == {"bad": [0, 1], "late": [0, 1, 2]}
     assert sum(row["label"] == "good" for row in store.rows("frames")) == 5
     assert 'raise ValueError("deliberate' in (tmp_path / "failures" / "bad.txt").read_text()
@@ -213,7 +218,9 @@ def test_a_killed_process_resumes_to_the_same_rows(tmp_path: Path) -> None:
         run(experiment, {str(tmp_path / "parts")!r}, engine=FakeEngine(experiment, kill), report=False)
     """
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-    done = subprocess.run([sys.executable, "-c", textwrap.dedent(script)], env=environment, capture_output=True, timeout=120)
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(script)], env=environment, capture_output=True, timeout=120
+    )
     assert done.returncode == -signal.SIGKILL, done.stderr.decode()
     assert len(Store(tmp_path / "parts").rows("frames")) == 6
     finished(tmp_path / "parts", experiment, resume=True)
@@ -229,7 +236,15 @@ def test_two_runs_give_the_same_bytes(tmp_path: Path) -> None:
 def test_the_record_says_what_was_run(tmp_path: Path) -> None:
     experiment = make_experiment()
     data = finished(tmp_path, experiment).environment()
-    assert set(data["identity"]) >= {"config", "scene", "plugin flat", "plugin remembering", "device", "threads", "skips"}
+    assert set(data["identity"]) >= {
+        "config",
+        "scene",
+        "plugin flat",
+        "plugin remembering",
+        "device",
+        "threads",
+        "skips",
+    }
     assert data["run"]["baseline"] == "cheap" and data["run"]["frames"] == [0, 1, 2, 3, 4]
     assert [entry["history"] for entry in data["run"]["labels"]] == [False, True, False]
     assert {"date", "cpu", "cores", "threads", "device", "git", "python", "packages"} <= set(data["environment"])

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from experiments.images import error_view, read_exr, read_png, shaded_view, visibility_view, write_exr, write_png
-from experiments.store import FRAME_COLUMNS, TABLES, Store, Table, cell, image_folder, read_table
+from experiments.store import FRAME_COLUMNS, TABLES, Store, image_folder
+from experiments.tables import Table, cell, read_table
 from wkernels.errors import InputError
 
 CONFIG = "kind: walkthrough\n"
