@@ -18,8 +18,8 @@ def carry_over(
     """The previous frame's visibility at this frame's receiver points, found by reprojection.
 
     Interpolates between the four previous pixels around a point, and only where the positions they saw interpolate to
-    the point itself. That leaves out disocclusions, silhouettes and meshes that moved, so that what remains is change of
-    shadow.
+    the point itself. That leaves out disocclusions, silhouettes and meshes that moved, so that what remains is change
+    of shadow.
 
     Args:
         previous_visibility: (H, W), NaN where no receiver was seen.

@@ -83,14 +83,16 @@ def _work_lines(experiment: Experiment, plugins: Mapping[str, type]) -> list[str
     warm = sum(min(frames, 2 if technique.needs.history else 1) for technique in techniques)
     lines = [
         f"{labels * frames * repeats:,} timed renderings of {image.width} x {image.height}: "
-        f"{labels} label{_s(labels)} x {frames} frame{_s(frames)} x {repeats} repeat{_s(repeats)}, and {warm} untimed to warm up"
+        f"{labels} label{_s(labels)} x {frames} frame{_s(frames)} x {repeats} repeat{_s(repeats)}, "
+        f"and {warm} untimed to warm up"
     ]
     if experiment.reference:
         chosen = experiment.frames[:: experiment.reference.every]
         rays = len(chosen) * pixels * experiment.reference.samples
         lines.append(
             f"reference on {len(chosen)} frame{_s(len(chosen))}: {_ranges(chosen)}; "
-            f"{experiment.reference.samples} light samples, at most {rays:,} rays; frames in the cache are not traced again"
+            f"{experiment.reference.samples} light samples, at most {rays:,} rays; "
+            "frames in the cache are not traced again"
         )
     asked = set(experiment.metrics) | {metric.name for metric in METRICS.values() if metric.always}
     lines.append(f"metrics: {', '.join(name for name in METRICS if name in asked)}, m_x_max, m_z_max")

@@ -1,8 +1,8 @@
 """Runs a walkthrough: every label on every frame, interleaved, timed by the same rules, stored as it happens.
 
 Order of work, the same in every run: for each frame, ``repeats`` times, each label in file order (A B C A B C); then
-every label commits its history. A row holds medians over the repeats. Warm-up (compile, load, first touch of memory) comes
-before the first frame and is never timed.
+every label commits its history. A row holds medians over the repeats. Warm-up (compile, load, first touch of memory)
+comes before the first frame and is never timed.
 """
 
 from __future__ import annotations

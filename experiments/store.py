@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -226,3 +226,8 @@ def image_folder(label: str | None) -> str:
         return "reference"
     # Labels are valid file names (the schema sees to it) but may be the name that is taken already.
     return f"{label} (label)" if label.casefold() == "reference" else label
+
+
+def labels_in_order(rows: Collection[Row]) -> list[str]:
+    """The labels of a table in the order of their first rows."""
+    return list(dict.fromkeys(str(row["label"]) for row in rows))

@@ -62,7 +62,7 @@ def summarise(frames: pd.DataFrame, baseline: str) -> pd.DataFrame:
 
     Medians and quartiles are over frames. ``*_ratio`` compares with the baseline frame by frame and then takes the
     median, because a shared machine drifts: neighbours in time are comparable, averages are not. ``pareto`` marks labels
-    that no other label beats in both frame time and RMSE. ``distinguishable`` says whether the RMSE exceeds twice the
+    that no other beats in both frame time and RMSE. ``distinguishable`` says whether the RMSE exceeds twice the
     reference's standard error; ``distinguishable_from_baseline`` the same of the difference to the baseline's RMSE.
 
     Args:

@@ -64,10 +64,9 @@ def _directional_view(towards: np.ndarray, receivers: Bounds, casters: Bounds, r
 
 def _point_views(position: np.ndarray, receivers: Bounds, resolution: int) -> list[HostView]:
     offsets = receivers.corners - position
-    reach = float(np.linalg.norm(offsets, axis=1).max())
+    reach = max(float(np.linalg.norm(offsets, axis=1).max()), 1e-6)
     towards_middle = 0.5 * (receivers.low + receivers.high) - position
     distance = np.linalg.norm(towards_middle)
-    common = {"eye_ws": position, "width": resolution, "height": resolution}
     if distance > 1e-6 * reach:
         forward = towards_middle / distance
         right, up = orthonormal_frame(-forward)
@@ -75,31 +74,28 @@ def _point_views(position: np.ndarray, receivers: Bounds, resolution: int) -> li
         if depths.min() > 1e-3 * reach:
             x, y = offsets @ right / depths, offsets @ up / depths
             if max(np.abs(x).max(), np.abs(y).max()) <= MAX_TANGENT:
-                far = 1.001 * float(depths.max())
                 window = _window(x, y, resolution)
-                return [
-                    HostView(
-                        right_ws=right, up_ws=up, forward_ws=forward, window=window, near=NEAR_TO_FAR * far, far=far, **common
-                    )
-                ]
-    faces = []
-    for axis in range(3):
-        for sign in (1.0, -1.0):
-            forward = sign * np.eye(3)[axis]
-            right, up = orthonormal_frame(-forward)
-            window = (-FACE_TANGENT, FACE_TANGENT, -FACE_TANGENT, FACE_TANGENT)
-            faces.append(
-                HostView(
-                    right_ws=right,
-                    up_ws=up,
-                    forward_ws=forward,
-                    window=window,
-                    near=NEAR_TO_FAR * max(reach, 1e-6),
-                    far=1.001 * max(reach, 1e-6),
-                    **common,
-                )
-            )
-    return faces
+                return [_perspective_view(position, forward, window, float(depths.max()), resolution)]
+    window = (-FACE_TANGENT, FACE_TANGENT, -FACE_TANGENT, FACE_TANGENT)
+    directions = [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
+    return [_perspective_view(position, forward, window, reach, resolution) for forward in directions]
+
+
+def _perspective_view(
+    position: np.ndarray, forward: np.ndarray, window: tuple[float, float, float, float], reach: float, resolution: int
+) -> HostView:
+    right, up = orthonormal_frame(-forward)
+    return HostView(
+        eye_ws=position,
+        right_ws=right,
+        up_ws=up,
+        forward_ws=forward,
+        window=window,
+        near=NEAR_TO_FAR * reach,
+        far=1.001 * reach,
+        width=resolution,
+        height=resolution,
+    )
 
 
 def perspective_aliasing(

@@ -50,7 +50,7 @@ class PassTimer:
             if self._cuda:
                 span = wp.get_event_elapsed_time(begin, end, synchronize=False)
             else:
-                span = (end - begin) * 1e3  # type: ignore[operator]
+                span = (end - begin) * 1e3
             spent[name] = spent.get(name, 0.0) + span
         return spent
 
