@@ -61,8 +61,8 @@ def summarise(frames: pd.DataFrame, baseline: str) -> pd.DataFrame:
     """One row per label, in the order of first occurrence.
 
     Medians and quartiles are over frames. ``*_ratio`` compares with the baseline frame by frame and then takes the
-    median, because a shared machine drifts: neighbours in time are comparable, averages are not. ``pareto`` marks labels
-    that no other beats in both frame time and RMSE. ``distinguishable`` says whether the RMSE exceeds twice the
+    median, because a shared machine drifts: neighbours in time are comparable, averages are not. ``pareto`` marks
+    labels that no other beats in both frame time and RMSE. ``distinguishable`` says whether the RMSE exceeds twice the
     reference's standard error; ``distinguishable_from_baseline`` the same of the difference to the baseline's RMSE.
 
     Args:

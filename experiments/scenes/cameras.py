@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from pydantic import ValidationError
 from scipy.interpolate import CubicHermiteSpline
 
 from experiments.config.source import load_yaml, validate
@@ -158,4 +159,7 @@ def _csv_keyframe(row: list[str], file: str, line: int, before: list[CameraKeyfr
         message = f"keyframes must come in rising order, {int(values[0])} follows {before[-1].frame}."
         raise InputError(message, file=file, line=line, key="frame")
     eye, target = (values[1], values[2], values[3]), (values[4], values[5], values[6])
-    return CameraKeyframe(frame=int(values[0]), eye=eye, target=target)
+    try:
+        return CameraKeyframe(frame=int(values[0]), eye=eye, target=target)
+    except ValidationError as error:
+        raise InputError(f"a value is too large: {error.errors()[0]['msg'].lower()}.", file=file, line=line) from None

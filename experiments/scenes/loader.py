@@ -12,14 +12,14 @@ import numpy as np
 
 from experiments.config.source import Source, from_dict, load_yaml
 from experiments.scenes import generators, primitives, schema
-from experiments.scenes.cameras import camera_path
+from experiments.scenes.cameras import CameraPath, camera_path
 from experiments.scenes.files import read_triangles
 from experiments.scenes.lights import build_light
 from experiments.scenes.place import Place, misspelt
 from experiments.scenes.poses import KeyframedPose, pose
 from wkernels.errors import nearest
 from wkernels.lights import Light
-from wkernels.scene import Camera, Mesh, Scene
+from wkernels.scene import Mesh, Scene
 
 _DIFFUSE = (0.8, 0.8, 0.8)
 
@@ -52,9 +52,7 @@ def scene_from_source(source: Source, loc: tuple[str | int, ...] = (), *, base: 
     if name is None:
         generated = [m["generate"] for m in scene_file.meshes if "generate" in m]
         name = str(generated[0]) if generated else "scene"
-    cameras = [camera(frame) for frame in range(frames)]
-    digest = content_hash(meshes, lights, cameras)
-    return Scene(name, tuple(meshes), lights, camera, frames, digest)
+    return Scene(name, tuple(meshes), lights, camera, frames, content_hash(meshes, lights, camera, frames))
 
 
 def _add_meshes(meshes: list[Mesh], place: Place) -> None:
@@ -119,8 +117,8 @@ def _free_name(name: str, taken: set[str]) -> str:
     return next(f"{name}_{i}" for i in range(2, len(taken) + 3) if f"{name}_{i}" not in taken)
 
 
-def content_hash(meshes: Sequence[Mesh], lights: Sequence[Light], cameras: Sequence[Camera]) -> str:
-    """Hex digest (SHA-256) over everything that changes pixels; ``cameras`` are those of all frames in order.
+def content_hash(meshes: Sequence[Mesh], lights: Sequence[Light], camera: CameraPath, frames: int) -> str:
+    """Hex digest (SHA-256) over everything that changes pixels.
 
     Names are left out, and so is how a scene was described: equal geometry, poses, lights and cameras hash equally.
     """
@@ -134,20 +132,15 @@ def content_hash(meshes: Sequence[Mesh], lights: Sequence[Light], cameras: Seque
 
     for mesh in meshes:
         add(mesh.vertices, mesh.faces, mesh.diffuse, mesh.casts, mesh.receives, mesh.moving)
-        # A path may be cut or held, so that frames outside it are rendered as well: motion counts where it takes place.
-        frames = _motion_frames(mesh) if mesh.moving else range(1)
-        add([mesh.object_to_ws(frame) for frame in frames], frames.start)
+        if isinstance(mesh.object_to_ws, KeyframedPose) and mesh.moving:
+            add(*mesh.object_to_ws.description)
+        else:
+            add(mesh.object_to_ws(0))
     for light in lights:
         digest.update(light.kind.encode())
         for item in fields(light):
             value = getattr(light, item.name)
             add(() if value is None else value)
-    for camera in cameras:
-        add(camera.eye, camera.target, camera.up, [camera.fov_deg, camera.near, camera.far])
+    fixed = camera.options
+    add(camera.eye_target(np.arange(frames, dtype=np.float64)), fixed.up, [fixed.fov_deg, fixed.near, fixed.far])
     return digest.hexdigest()
-
-
-def _motion_frames(mesh: Mesh) -> range:
-    assert isinstance(mesh.object_to_ws, KeyframedPose)
-    keys = mesh.object_to_ws.frames
-    return range(int(keys[0]), int(keys[-1]) + 1)

@@ -56,6 +56,11 @@ class KeyframedPose:
         return _compose(np.array(translate), rotation.as_matrix(), np.array(scale)) @ self.object_to_parent
 
     @property
+    def description(self) -> tuple[np.ndarray, ...]:
+        """Arrays that determine the pose at every frame."""
+        return self.frames, self.object_to_parent, self._translate, self._scale, self._rotations.as_matrix()
+
+    @property
     def moving(self) -> bool:
         """Whether any keyframe differs from the first."""
         first = self(int(self.frames[0]))

@@ -80,7 +80,7 @@ def test_usd_transforms_orientation_fans_and_visibility(tmp_path: Path, left_han
     assert len(shape.faces) == 12 and shape.is_watertight
     size = np.abs(np.array(scale, float))
     assert shape.volume == pytest.approx(8.0 * size.prod())  # positive: faces outwards in each of the four cases
-    np.testing.assert_allclose(shape.bounds, [[1, 2, 3] - size, [1, 2, 3] + size])
+    np.testing.assert_allclose(shape.bounds, [np.array([1, 2, 3]) - size, np.array([1, 2, 3]) + size])
 
 
 def test_fans():
@@ -124,5 +124,5 @@ def test_faces_that_use_missing_vertices(tmp_path: Path):
         "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
         "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n"
     )
-    with pytest.raises(InputError, match="vertices it does not have|cannot be read"):
+    with pytest.raises(InputError, match=r"vertices it does not have|cannot be read"):
         read(tmp_path / "bad.ply")

@@ -196,9 +196,7 @@ def test_names_are_unique_and_options_reach_every_part():
     assert [m.name for m in loaded.meshes] == ["box", "box_2", "mine"]
     assert [m.casts for m in loaded.meshes] == [True, True, False]
     assert loaded.meshes[2].diffuse == (0.1, 0.2, 0.3)
-    parts = scene(
-        {"generate": "test_plane", "name": "far", "receives": False, "transform": {"translate": [0, 5, 0]}}
-    )
+    parts = scene({"generate": "test_plane", "name": "far", "receives": False, "transform": {"translate": [0, 5, 0]}})
     assert parts.name == "test_plane"
     assert [m.name for m in parts.meshes] == ["far/plane", "far/posts"]
     assert not any(m.receives for m in parts.meshes)

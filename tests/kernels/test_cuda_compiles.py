@@ -1,0 +1,28 @@
+"""Every module with kernels compiles for CUDA, without a GPU: the same source has to serve both targets."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+import pytest
+import warp as wp
+
+ROOT = Path(__file__).parents[2]
+
+
+def modules_with_kernels() -> list[str]:
+    """Names of all modules of both packages that define at least one Warp kernel."""
+    files = [path for package in ("wkernels", "algorithms") for path in sorted((ROOT / package).rglob("*.py"))]
+    with_kernels = [path for path in files if "\n@wp.kernel" in path.read_text(encoding="utf-8")]
+    return [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in with_kernels]
+
+
+@pytest.mark.parametrize("name", modules_with_kernels())
+def test_module_compiles_for_cuda(name: str, tmp_path: Path) -> None:
+    """To PTX of the oldest architecture that is supported (sm_80)."""
+    module = importlib.import_module(name)
+    wp.compile_aot_module(module, arch=80, module_dir=tmp_path, use_ptx=True)
+    compiled = list(tmp_path.glob("*.ptx"))
+    assert compiled, f"{name} left no PTX"
+    assert ".visible .entry" in compiled[0].read_text(encoding="utf-8", errors="replace")
