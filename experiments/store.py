@@ -139,7 +139,7 @@ class Store:
         names = [f"{name}.csv" for name in (*TABLES, "summary")] + ["report.html", "environment.json", "config.yaml"]
         for name in names:
             (self.out / name).unlink(missing_ok=True)
-        for folder in ("images", "plots"):
+        for folder in ("images", "plots", "failures"):
             if (self.out / folder).is_dir():
                 shutil.rmtree(self.out / folder)
 

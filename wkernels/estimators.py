@@ -1,8 +1,8 @@
-"""Estimating how much of a light is hidden from n shadow tests: the proportion, its variance, and sums that never saturate.
+"""How much of a light is hidden, estimated from n shadow tests: a proportion, its variance, sums that never saturate.
 
-Source: Scherzer et al. 2009, section 3.1, equations 2, 3 and 5. There tau is one hard shadow test (1: the light sample is
-hidden), rho the sum of n tests and psi = rho / n the hidden share of the light; visibility is 1 - psi. Lights with a texture
-weight their samples: then rho sums weight times tau, and n the weights.
+Source: Scherzer et al. 2009, section 3.1, equations 2, 3 and 5. There tau is one hard shadow test (1: the light
+sample is hidden), rho the sum of n tests and psi = rho / n the hidden share of the light; visibility is 1 - psi.
+Lights with a texture weight their samples: then rho sums weight times tau, and n the weights.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from __future__ import annotations
 import warp as wp
 
 FLOAT16_LIMIT = 1024.0
-"""Largest n for sums kept in float16. Integers are exact to 2048; from there on rho still grows where n no longer does."""
+"""Largest n for sums kept in float16. Integers are exact to 2048; from there on rho still grows where n no longer
+does."""
 
 FLOAT32_LIMIT = 2.0**22
 """Largest n for sums kept in float32, a quarter of where integers stop being exact."""
@@ -39,7 +40,7 @@ def share_variance(psi: float, n: float) -> float:
 
 @wp.func
 def standard_error(psi: float, n: float) -> float:
-    """Square root of ``share_variance``. Conservative for low-discrepancy samples; 0 wherever all tests agreed so far."""
+    """Square root of ``share_variance``: too large for low-discrepancy samples, 0 where all tests have agreed so far."""
     return wp.sqrt(share_variance(psi, n))
 
 
@@ -47,9 +48,9 @@ def standard_error(psi: float, n: float) -> float:
 def add_test(rho: float, n: float, tau: float, weight: float, limit: float) -> wp.vec2:
     """(rho, n) after one more shadow test, equation 5.
 
-    Before n would pass ``limit`` both sums are halved: psi stays, and halving only lowers an exponent, so that nothing is
-    rounded. Older tests count half from then on. (Scaling rho down by n / (n + 1) in every frame instead would round it in
-    every frame, which at float16 and n = 1024 draws psi off by up to 0.1.)
+    Before n would pass ``limit`` both sums are halved: psi stays, and halving only lowers an exponent, so that
+    nothing is rounded. Older tests count half from then on. (Scaling rho down by n / (n + 1) in every frame instead
+    would round it in every frame, which at float16 and n = 1024 draws psi off by up to 0.1.)
 
     Args:
         rho: Sum of weighted tests so far.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import warp as wp
 
@@ -31,26 +33,31 @@ def find_normals(
 
 
 class Bounds:
-    """An axis-aligned box, float64; ``empty`` before anything was added."""
+    """Axis-aligned boxes, float64, and the box around them all; ``empty`` before anything was added."""
 
     def __init__(self) -> None:
         self.low = np.full(3, np.inf)
         self.high = np.full(3, -np.inf)
+        self._boxes: list[np.ndarray] = []
 
     def add(self, points: np.ndarray) -> None:
-        """Extends the box by points, shape (N, 3)."""
+        """Adds the box of some points, shape (N, 3)."""
         if len(points):
-            self.low = np.minimum(self.low, points.min(axis=0))
-            self.high = np.maximum(self.high, points.max(axis=0))
+            box = np.stack([points.min(axis=0), points.max(axis=0)])
+            self._boxes.append(box)
+            self.low = np.minimum(self.low, box[0])
+            self.high = np.maximum(self.high, box[1])
 
     @property
     def empty(self) -> bool:
-        return bool(np.any(self.low > self.high))
+        return not self._boxes
 
     @property
     def corners(self) -> np.ndarray:
-        """The eight corners, shape (8, 3)."""
-        return np.array(np.meshgrid(*np.stack([self.low, self.high], axis=1), indexing="ij")).reshape(3, 8).T
+        """The eight corners of every box, shape (8 N, 3): a wide low box and a narrow high one leave the rest out."""
+        pick = np.array(list(itertools.product((0, 1), repeat=3)))
+        boxes = np.array(self._boxes).reshape(-1, 2, 3)
+        return boxes[:, pick, np.arange(3)].reshape(-1, 3)
 
 
 class Geometry:

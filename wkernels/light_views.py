@@ -14,12 +14,12 @@ NEAR_TO_FAR = 1e-6  # depth is linear: a tiny near plane costs no precision
 
 
 def scene_views(light_ws: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int) -> list[HostView]:
-    """Views that cover the receivers' bounding box from one light sample ("fit: scene").
+    """Views that cover the receivers' boxes from one light sample ("fit: scene").
 
     Args:
         light_ws: Light sample (4,), ``w = 1`` a point, ``w = 0`` a unit direction towards the light.
-        receivers: Box to cover; must not be empty.
-        casters: Box whose nearest side bounds the depth range of directional maps; may be empty.
+        receivers: Boxes to cover; must not be empty.
+        casters: Boxes whose nearest side bounds the depth range of directional maps; may be empty.
         resolution: Texels per side.
 
     Returns:
@@ -64,21 +64,43 @@ def _directional_view(towards: np.ndarray, receivers: Bounds, casters: Bounds, r
 
 def _point_views(position: np.ndarray, receivers: Bounds, resolution: int) -> list[HostView]:
     offsets = receivers.corners - position
-    reach = max(float(np.linalg.norm(offsets, axis=1).max()), 1e-6)
-    towards_middle = 0.5 * (receivers.low + receivers.high) - position
-    distance = np.linalg.norm(towards_middle)
-    if distance > 1e-6 * reach:
-        forward = towards_middle / distance
-        right, up = orthonormal_frame(-forward)
-        depths = offsets @ forward
-        if depths.min() > 1e-3 * reach:
-            x, y = offsets @ right / depths, offsets @ up / depths
-            if max(np.abs(x).max(), np.abs(y).max()) <= MAX_TANGENT:
-                window = _window(x, y, resolution)
-                return [_perspective_view(position, forward, window, float(depths.max()), resolution)]
+    distances = np.linalg.norm(offsets, axis=1)
+    reach = max(float(distances.max()), 1e-6)
+    towards = (offsets / np.maximum(distances, 1e-6 * reach)[:, None]).mean(axis=0)
+    best: HostView | None = None
+    # a floor is covered best by a view straight down on it, a distant object by one towards its middle
+    for axis in (towards, *np.eye(3), *-np.eye(3)):
+        view = _covering_view(position, axis, offsets, reach, resolution)
+        if view is not None and (best is None or _window_area(view) < _window_area(best)):
+            best = view
+    if best is not None:
+        return [best]
     window = (-FACE_TANGENT, FACE_TANGENT, -FACE_TANGENT, FACE_TANGENT)
     directions = [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
     return [_perspective_view(position, forward, window, reach, resolution) for forward in directions]
+
+
+def _covering_view(
+    position: np.ndarray, axis: np.ndarray, offsets: np.ndarray, reach: float, resolution: int
+) -> HostView | None:
+    """The view along ``axis`` that holds all offsets, unless they reach behind it or too far to the side."""
+    length = float(np.linalg.norm(axis))
+    if length < 1e-6:
+        return None
+    forward = axis / length
+    depths = offsets @ forward
+    if depths.min() <= 1e-3 * reach:
+        return None
+    right, up = orthonormal_frame(-forward)
+    x, y = offsets @ right / depths, offsets @ up / depths
+    if max(np.abs(x).max(), np.abs(y).max()) > MAX_TANGENT:
+        return None
+    return _perspective_view(position, forward, _window(x, y, resolution), float(depths.max()), resolution)
+
+
+def _window_area(view: HostView) -> float:
+    left, right, bottom, top = view.window
+    return (right - left) * (top - bottom)
 
 
 def _perspective_view(

@@ -517,9 +517,8 @@ class Rasteriser:
         counts.numpy().ravel()[:] = starts[:-1]
         listed = self._array("list", (int(starts[-1]),), int)
         self._launch(list_tiles, CHUNKS, [box, total, CHUNKS, tiles_x, counts], [listed], tile=1)
-        self._launch(
-            draw_tile, tiles, [triangles, tiles_x, begin, listed, with_triangles], [depth_out, triangle_out], tile=2
-        )
+        inputs = [triangles, tiles_x, begin, listed, with_triangles]
+        self._launch(draw_tile, tiles, inputs, [depth_out, triangle_out])
 
     def _project(self, points_ws: wp.array, indices: wp.array, view: View, cull: int) -> tuple[ScreenTriangles, int]:
         count = len(indices) // 3

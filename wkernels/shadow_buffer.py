@@ -1,8 +1,8 @@
-"""The shadow buffer: what each pixel remembers of the shadow tests of earlier frames, and how the next frame finds it again.
+"""The shadow buffer: a frame's shadow tests, what pixels remember of them, and how the next frame finds that again.
 
-Sources: Scherzer et al. 2009, sections 3.2 and 4; Schwaerzler 2009, section 5.2. A texel holds rho, n, the linear eye depth and
-the mean blocker depth. The last two are kept as shares, of the far plane and of the receiver's own depth from the light: every
-light sample measures depth from its own origin, and float16 overflows at 65504 scene units.
+Sources: Scherzer et al. 2009, sections 3.2 and 4; Schwaerzler 2009, section 5.2. A texel holds rho, n, the linear eye
+depth and the mean blocker depth. The last two are kept as shares, of the far plane and of the receiver's own depth
+from the light: every light sample measures depth from its own origin, and float16 overflows at 65504 scene units.
 """
 
 from __future__ import annotations
@@ -12,14 +12,15 @@ from typing import Any
 import warp as wp
 
 from wkernels.estimators import FLOAT16_LIMIT, FLOAT32_LIMIT
-from wkernels.gbuffer import GBuffer
-from wkernels.geometry import RECEIVES
+from wkernels.gbuffer import GBuffer, is_back_lit
+from wkernels.geometry import MOVES
+from wkernels.light_map import Bias, LightMap, Receiver, locate_receiver, stored_depth, to_light
 from wkernels.reprojection import accept_absolute, is_inside, reproject
 from wkernels.views import View, pixel_along_ws, pixel_base_ws
 
 BILINEAR, NEAREST = 256.0, 1.0
-"""Steps a texel for ``fetch_record``. With the nearest texel history sticks to the screen under an eye that moves by less
-than half a pixel a frame; at 0.3 pixels and 64 frames that makes the error of a penumbra five times larger."""
+"""Steps a texel for ``fetch_record``. With the nearest texel history sticks to the screen under an eye that moves by
+less than half a pixel a frame; at 0.3 pixels and 64 frames that makes the error of a penumbra five times larger."""
 
 EDGE_ON = wp.constant(1.0e-3)  # a plane seen at a smaller sine of the angle tells nothing about the next pixel's depth
 
@@ -32,6 +33,16 @@ class ShadowRecord:
     n: float  # sum of their weights; 0: nothing is known
     depth: float  # linear eye depth, scene units
     blocker_rise: float  # 1 - z_b / z_r: how much nearer to the light the mean blocker is; 0: none was met
+
+
+@wp.struct
+class ShadowTest:
+    """What one map says of one pixel."""
+
+    tau: float  # 1: hidden from the map's light sample, 0: lit
+    blocker_rise: float  # as in ``ShadowRecord``; 0 where lit or turned away
+    moves: int  # 1: the surface, or the caster that hides it, moves
+    receiver: Receiver  # layer -1 where no lookup was needed or possible
 
 
 @wp.struct
@@ -55,25 +66,13 @@ def storage_of(format: str) -> Storage:
 
 
 @wp.func
-def widen(texel: wp.vec4) -> wp.vec4:
-    """A texel in float32."""
-    return texel
-
-
-@wp.func
-def widen(texel: wp.vec4h) -> wp.vec4:
-    """A texel in float32."""
-    return wp.vec4(float(texel[0]), float(texel[1]), float(texel[2]), float(texel[3]))
-
-
-@wp.func
 def put(texels: wp.array2d(dtype=wp.vec4), y: int, x: int, value: wp.vec4):
     """Stores a texel."""
     texels[y, x] = value
 
 
 @wp.func
-def put(texels: wp.array2d(dtype=wp.vec4h), y: int, x: int, value: wp.vec4):
+def put(texels: wp.array2d(dtype=wp.vec4h), y: int, x: int, value: wp.vec4):  # type: ignore[no-redef]
     """Stores a texel, rounded to nearest."""
     texels[y, x] = wp.vec4h(wp.float16(value[0]), wp.float16(value[1]), wp.float16(value[2]), wp.float16(value[3]))
 
@@ -81,12 +80,12 @@ def put(texels: wp.array2d(dtype=wp.vec4h), y: int, x: int, value: wp.vec4):
 @wp.func
 def read_record(texels: wp.array2d(dtype=Any), y: int, x: int, far: float) -> ShadowRecord:
     """A pixel's history; ``far`` is the far plane of the view it was written for."""
-    texel = widen(texels[y, x])
+    texel = texels[y, x]
     result = ShadowRecord()
-    result.rho = texel[0]
-    result.n = texel[1]
-    result.depth = texel[2] * far
-    result.blocker_rise = texel[3]
+    result.rho = float(texel[0])
+    result.n = float(texel[1])
+    result.depth = float(texel[2]) * far
+    result.blocker_rise = float(texel[3])
     return result
 
 
@@ -97,7 +96,31 @@ def write_record(texels: wp.array2d(dtype=Any), y: int, x: int, record: ShadowRe
 
 
 @wp.func
-def depth_on_plane(view: View, x_px: float, y_px: float, position_ws: wp.vec3, normal_ws: wp.vec3, otherwise: float) -> float:
+def test_shadow(gbuffer: GBuffer, y: int, x: int, light_map: LightMap, bias: Bias) -> ShadowTest:
+    """The hard shadow test of a receiving pixel, equation 1, as ``compare_nearest`` does it, and who casts the shadow."""
+    result = ShadowTest()
+    result.receiver.layer = -1
+    result.moves = wp.where((gbuffer.flags[y, x] & MOVES) != 0, 1, 0)
+    position_ws = gbuffer.position_ws[y, x]
+    if is_back_lit(gbuffer, y, x, to_light(light_map.light_ws, position_ws)):
+        result.tau = 1.0
+    else:
+        receiver = locate_receiver(light_map, bias, position_ws, gbuffer.normal_ws[y, x])
+        result.receiver = receiver
+        if receiver.layer >= 0:
+            stored = stored_depth(light_map, receiver.layer, int(wp.floor(receiver.x)), int(wp.floor(receiver.y)))
+            if receiver.depth > wp.abs(stored):
+                result.tau = 1.0
+                result.blocker_rise = wp.clamp(1.0 - wp.abs(stored) / receiver.plane_depth[2], 0.0, 1.0)
+                if stored < 0.0:
+                    result.moves = 1
+    return result
+
+
+@wp.func
+def depth_on_plane(
+    view: View, x_px: float, y_px: float, position_ws: wp.vec3, normal_ws: wp.vec3, otherwise: float
+) -> float:
     """Linear depth at a screen position of the plane through a point; ``otherwise`` where it is seen edge-on."""
     along = pixel_along_ws(view, x_px, y_px)
     slope = wp.dot(normal_ws, along)
@@ -121,8 +144,8 @@ def held_record(
 ) -> ShadowRecord:
     """The record of one texel if the receiver's surface was seen there, else n = 0; arguments as for ``fetch_record``.
 
-    Equation 4, |d_k - d_(k-1)| < epsilon, at the texel's centre: the receiver's plane gives d_k there (``depth`` where the
-    plane is seen edge-on). The point's own depth would reject slanted ground as soon as the eye moves.
+    Equation 4, |d_k - d_(k-1)| < epsilon, at the texel's centre: the receiver's plane gives d_k there (``depth``
+    where the plane is seen edge-on). The point's own depth would reject slanted ground as soon as the eye moves.
     """
     result = ShadowRecord()
     if x >= 0 and y >= 0 and x < view.width and y < view.height:
@@ -145,17 +168,14 @@ def fetch_record(
 ) -> ShadowRecord:
     """History of a receiver point, from the texels around the place where the previous frame saw it.
 
-    Of the four texels of a bilinear fetch only those count that saw the same surface and hold something: each is tested by
-    its own depth, so that nothing is mixed with another surface or with a texel that knows nothing.
+    Of the four texels of a bilinear fetch only those count that saw the same surface and hold something: each is
+    tested by its own depth, so that nothing is mixed with another surface or with a texel that knows nothing.
 
     Args:
-        previous: Texels of the previous frame, written for ``previous_view``.
-        previous_view: The eye's view then.
-        position_ws: The point, rebased world.
-        normal_ws: Its unit normal.
-        epsilon: Scene units.
-        rounding: Relative error of stored depths, ``Storage.rounding``, granted on top of ``epsilon``.
-        texel_steps: To how many steps a texel the place is rounded: ``BILINEAR`` as in texture units, so that a still eye
+        previous: Texels of the previous frame, written for ``previous_view``. previous_view: The eye's view then.
+        position_ws: The point, rebased world. normal_ws: Its unit normal. epsilon: Scene units. rounding: Relative
+        error of stored depths, ``Storage.rounding``, granted on top of ``epsilon``. texel_steps: To how many steps a
+        texel the place is rounded: ``BILINEAR`` as in texture units, so that a still eye
             hits texel centres exactly, or ``NEAREST``.
 
     Returns:
@@ -209,51 +229,3 @@ def refine_blocker(rise: float, new_rise: float, known: float) -> float:
     if rise > 0.0:
         result = (new_rise + rise * known) / (known + 1.0)
     return result
-
-
-@wp.func
-def pixels_per_length(view: View, depth: float) -> float:
-    """How many pixels a unit length across the view covers at a depth."""
-    return 1.0 / wp.max(wp.length(view.base_dx_ws + depth * view.along_dx_ws), 1.0e-30)
-
-
-@wp.kernel
-def filter_neighbourhood(
-    first: int,
-    gbuffer: GBuffer,
-    psi: wp.array2d(dtype=float),
-    half_width_px: wp.array2d(dtype=float),
-    taps: wp.array(dtype=wp.vec2),
-    depth_range: float,
-    visibility_out: wp.array2d(dtype=float),
-):
-    """Visibility from psi, smoothed over the pixels that ask for it (Scherzer et al. 2009, section 3.3).
-
-    The mean of the pixel and of the taps that fall on a receiver of a similar depth.
-
-    Args:
-        first: Tile offset.
-        gbuffer: Receivers, (H, W).
-        psi: Hidden share of the light, (H, W), 0 to 1.
-        half_width_px: Half the filter's width in pixels; less than 1/2 for none.
-        taps: Offsets in [-1, 1]^2.
-        depth_range: Largest difference of linear eye depth, share of the pixel's own.
-        visibility_out: 1 - psi, smoothed; 1 where nothing receives.
-    """
-    row, x = wp.tid()
-    y = first + row
-    total = psi[y, x]
-    half_width = half_width_px[y, x]
-    if half_width >= 0.5:
-        count = float(1.0)
-        depth = gbuffer.depth[y, x]
-        for i in range(taps.shape[0]):
-            column = int(wp.round(float(x) + half_width * taps[i][0]))
-            line = int(wp.round(float(y) + half_width * taps[i][1]))
-            if column >= 0 and line >= 0 and column < psi.shape[1] and line < psi.shape[0]:
-                if (gbuffer.flags[line, column] & RECEIVES) != 0:
-                    if wp.abs(gbuffer.depth[line, column] - depth) < depth_range * depth:
-                        total += psi[line, column]
-                        count += 1.0
-        total = total / count
-    visibility_out[y, x] = 1.0 - total

@@ -1,14 +1,15 @@
 """Soft shadows from one hard shadow map per light sample, averaged: accumulation of hard images.
 
 The light is replaced by N points; each gets its own depth map and one comparison per pixel, and visibility is the
-radiance-weighted share of the points that are seen (Heckbert and Herf 1997, with depth maps instead of their accumulation
-of projected polygons; Scherzer et al. 2009, section 3.1, equations 1 and 2). The reported standard error is equation 3,
-sqrt(psi (1 - psi) / (N - 1)), that of independent samples; low-discrepancy points do 2 to 5 times better at smooth edges.
+radiance-weighted share of the points that are seen (Heckbert and Herf 1997, with depth maps instead of their
+accumulation of projected polygons; Scherzer et al. 2009, section 3.1, equations 1 and 2). The reported standard error
+is equation 3, sqrt(psi (1 - psi) / (N - 1)), that of independent samples; low-discrepancy points do 2 to 5 times
+better at smooth edges.
 
 Maps are kept from frame to frame while light and casters stand still, as far as memory allows (``Session.light_map``).
 Deviation: one map is drawn, and counted N times, where the light has no area.
-Known artefacts: N samples give N + 1 levels, fewer than about 9 look like as many hard shadows; every map's own aliasing and
-bias, which N different maps blur but do not remove.
+Known artefacts: N samples give N + 1 levels, fewer than about 9 look like as many hard shadows; every map's own
+aliasing and bias, which N different maps blur but do not remove.
 """
 
 from __future__ import annotations
@@ -91,7 +92,11 @@ class MultiShadowMap(Technique):
         weights = samples.weights_host.astype(np.float32)
         total = np.add.accumulate(weights)[-1]  # in the kernels' order and precision, so that "all seen" is exactly 1
         maps = p.samples
-        if maps > 1 and not frame.light.has_area and frame.leave_out("light depth maps", "the light has no area", maps - 1):
+        if (
+            maps > 1
+            and not frame.light.has_area
+            and frame.leave_out("light depth maps", "the light has no area", maps - 1)
+        ):
             maps, weights = 1, np.array([total])
         seen = frame.buffer("seen weight", visibility.shape, wp.float32)
         seen.zero_()

@@ -1,30 +1,32 @@
 """Soft shadows by sampling the light over time, one map a frame (Scherzer, Schwaerzler, Mattausch and Wimmer 2009).
 
-Every frame draws one depth map from the next point of the light (Halton). The hard test tau of each pixel is added to what its
-point already knows: a screen-sized *shadow buffer* of rho (sum of tests), n (their number), linear eye depth and mean blocker
-depth, found again by reprojection (equations 1 to 5), 5 % larger than the frame so that the border has neighbours and history.
-Points that are new to the eye, or reached by the shadow of a moving caster, start from percentage-closer soft shadows with 4 x 4
-blocker and 4 x 4 filter taps on the frame's own map, counted as ``start_weight`` samples (section 3.3; 4 converges faster).
-Pixels whose standard error sqrt(psi (1 - psi) / (n - 1)) exceeds t = 1/50, and new ones, are *shown* smoothed by 16 taps over
-neighbours of similar depth, as wide as the penumbra of equation 6; the buffer keeps the unsmoothed sums. The mean blocker depth
-is refined by one sample a frame (equation 7, k = 16).
+Every frame draws one depth map from the next point of the light (Halton). The hard test tau of each pixel is added to
+what its point already knows: a screen-sized *shadow buffer* of rho (sum of tests), n (their number), linear eye depth
+and mean blocker depth, found again by reprojection (equations 1 to 5), 5 % larger than the frame so that the border
+has neighbours and history. Points that are new to the eye, or reached by the shadow of a moving caster, start from
+percentage-closer soft shadows with 4 x 4 blocker and 4 x 4 filter taps on the frame's own map, counted as
+``start_weight`` samples (section 3.3; 4 converges faster). Pixels whose standard error sqrt(psi (1 - psi) / (n - 1))
+exceeds t = 1/50, and new ones, are *shown* smoothed by 16 taps over neighbours of similar depth, as wide as the
+penumbra of equation 6; the buffer keeps the unsmoothed sums. The mean blocker depth is refined by one sample a frame
+(equation 7, k = 16).
 
 Deviations, where the paper is silent or wrong:
 - n = 1 has no standard error (equation 3 is 0/0): 1. The first frame, like any new point, starts from n = 0.
 - The start is not followed by the same map's hard test: its taps have seen that map already.
-- Equation 4 compares absolute depths, in what unit is not said: ``depth_epsilon`` is a share of the scene's diagonal (the
-  thesis compares relative depths). It is tested at the centre of each history texel, on the receiver's plane, and only texels
-  that pass are interpolated: no surface is mixed with another. ``history: nearest`` reads one texel, but history then
-  sticks to the screen under an eye that moves by less than half a pixel a frame.
+- Equation 4 compares absolute depths, in what unit is not said: ``depth_epsilon`` is a share of the scene's diagonal
+  (the thesis compares relative depths). It is tested at the centre of each history texel, on the receiver's plane,
+  and only texels that pass are interpolated: no surface is mixed with another. ``history: nearest`` reads one texel,
+  but history then sticks to the screen under an eye that moves by less than half a pixel a frame.
 - Equation 6 maps a length to the near plane only; here it is pixels, pw H / (2 depth tan(fov / 2)).
 - Equation 7 counts frames, but only frames with a blocker add to its sum: shadowed samples are counted.
-- n stops at 2048 in the published float16 buffer while rho goes on: ``buffer: float16`` halves both at 1024 (float32 at 2^22).
+- n stops at 2048 in the published float16 buffer while rho goes on: ``buffer: float16`` halves both at 1024 (float32
+  at 2^22).
 - Under a mover's shadow the sums of a frame are shown, not stored, nor are a start whose blocker search met a mover and
   anything on a surface that moves itself: the next frame starts anew, so nothing trails.
 
-Known artefacts: noise and flicker while n is small and where moving and static penumbrae overlap; SE = 0 is false certainty where
-all tests agree so far; the filter blurs penumbrae that are still above t (psi = 1/2: until n = 626); history blurs a little
-with every frame in which the eye moves.
+Known artefacts: noise and flicker while n is small and where moving and static penumbrae overlap; SE = 0 is false
+certainty where all tests agree so far; the filter blurs penumbrae that are still above t (psi = 1/2: until n = 626);
+history blurs a little with every frame in which the eye moves.
 """
 
 from __future__ import annotations
@@ -48,9 +50,10 @@ from wkernels.filtering import (
     texels_per_ratio,
 )
 from wkernels.frame import Session as Frame
-from wkernels.gbuffer import GBuffer, is_back_lit
-from wkernels.geometry import MOVES, RECEIVES
-from wkernels.light_map import Bias, LightMap, Receiver, locate, locate_receiver, receiver_depth_at, stored_depth, to_light
+from wkernels.gbuffer import GBuffer
+from wkernels.geometry import RECEIVES
+from wkernels.light_map import Bias, LightMap, Receiver, locate, receiver_depth_at, stored_depth
+from wkernels.neighbourhood_filter import filter_neighbourhood, pixels_per_length
 from wkernels.shadow_buffer import (
     BILINEAR,
     NEAREST,
@@ -58,10 +61,9 @@ from wkernels.shadow_buffer import (
     ShadowRecord,
     Storage,
     fetch_record,
-    filter_neighbourhood,
-    pixels_per_length,
     refine_blocker,
     storage_of,
+    test_shadow,
     write_record,
 )
 from wkernels.views import View
@@ -92,19 +94,23 @@ class Settings:
 
 @wp.func
 def search_meets_mover(
-    light_map: LightMap, footprint: LightFootprint, receiver: Receiver, position_ws: wp.vec3, taps: wp.array(dtype=wp.vec2)
-) -> bool:
-    """Whether the blocker search of ``pcss_visibility`` finds a blocker that moves."""
+    light_map: LightMap,
+    footprint: LightFootprint,
+    receiver: Receiver,
+    position_ws: wp.vec3,
+    taps: wp.array(dtype=wp.vec2),
+) -> int:
+    """1 where the blocker search of ``pcss_visibility`` finds a blocker that moves, else 0."""
     axes = texels_per_ratio(light_map, footprint, receiver.layer, position_ws)
     spread = penumbra_spread(light_map, footprint, receiver, axes, footprint.nearest_depth[receiver.layer])
-    result = bool(False)
+    result = int(0)
     for i in range(taps.shape[0]):
         offset = spread * taps[i]
         column = int(wp.floor(receiver.x + offset[0]))
         row = int(wp.floor(receiver.y + offset[1]))
         stored = stored_depth(light_map, receiver.layer, column, row)
         if stored < 0.0 and receiver_depth_at(receiver, offset[0], offset[1]) > -stored:
-            result = True
+            result = 1
     return result
 
 
@@ -133,26 +139,9 @@ def update_shadow_buffer(
         position_ws = gbuffer.position_ws[y, x]
         normal_ws = gbuffer.normal_ws[y, x]
 
-        # the hard test of this frame's light sample, equation 1
-        tau = float(0.0)
-        new_rise = float(0.0)
-        receiver_depth = float(0.0)
-        moved = (gbuffer.flags[y, x] & MOVES) != 0
-        receiver = Receiver()
-        receiver.layer = -1
-        if is_back_lit(gbuffer, y, x, to_light(light_map.light_ws, position_ws)):
-            tau = 1.0
-        else:
-            receiver = locate_receiver(light_map, settings.bias, position_ws, normal_ws)
-            if receiver.layer >= 0:
-                receiver_depth = receiver.plane_depth[2]
-                stored = stored_depth(light_map, receiver.layer, int(wp.floor(receiver.x)), int(wp.floor(receiver.y)))
-                if receiver.depth > wp.abs(stored):
-                    tau = 1.0
-                    new_rise = wp.clamp(1.0 - wp.abs(stored) / receiver_depth, 0.0, 1.0)
-                    moved = moved or stored < 0.0
-
-        if settings.has_history != 0 and not moved:
+        test = test_shadow(gbuffer, y, x, light_map, settings.bias)
+        moves = test.moves
+        if settings.has_history != 0 and moves == 0:
             record = fetch_record(
                 previous,
                 previous_view,
@@ -165,12 +154,12 @@ def update_shadow_buffer(
         is_new = record.n <= 0.0
         is_estimated = is_new and settings.starts_with_pcss != 0
         if is_estimated:
-            visible = 1.0 - tau
-            if receiver.layer >= 0:
+            visible = 1.0 - test.tau
+            if test.receiver.layer >= 0:
                 found = pcss_visibility(
                     light_map,
                     footprint,
-                    receiver,
+                    test.receiver,
                     position_ws,
                     settings.blocker_taps,
                     settings.filter_taps,
@@ -179,19 +168,17 @@ def update_shadow_buffer(
                 )
                 visible = found[0]
                 if found[1] > 0.0:
-                    record.blocker_rise = wp.clamp(1.0 - found[1] / receiver_depth, 0.0, 1.0)
-                if settings.has_movers != 0:
-                    moved = moved or search_meets_mover(
-                        light_map, footprint, receiver, position_ws, settings.blocker_taps
-                    )
+                    record.blocker_rise = wp.clamp(1.0 - found[1] / test.receiver.plane_depth[2], 0.0, 1.0)
+                if settings.has_movers != 0 and moves == 0:
+                    moves = search_meets_mover(light_map, footprint, test.receiver, position_ws, settings.blocker_taps)
             record.n = settings.start_weight
             record.rho = (1.0 - visible) * settings.start_weight
         else:
-            if new_rise > 0.0:
+            if test.blocker_rise > 0.0:
                 record.blocker_rise = refine_blocker(
-                    record.blocker_rise, new_rise, record.rho + settings.first_blockers
+                    record.blocker_rise, test.blocker_rise, record.rho + settings.first_blockers
                 )
-            sums = add_test(record.rho, record.n, tau, settings.weight, settings.storage.limit)
+            sums = add_test(record.rho, record.n, test.tau, settings.weight, settings.storage.limit)
             record.rho = sums[0]
             record.n = sums[1]
         record.depth = gbuffer.depth[y, x]
@@ -199,12 +186,12 @@ def update_shadow_buffer(
         psi = hidden_share(record.rho, record.n)
         error = standard_error(psi, record.n)
         if settings.smooths != 0 and (is_estimated or error > settings.error_threshold) and record.blocker_rise > 0.0:
-            if receiver_depth <= 0.0:  # turned away from this sample of the light, if not from all
-                receiver_depth = locate(light_map, position_ws)[2]
-            blocker_depth = receiver_depth * (1.0 - record.blocker_rise)
-            width = settings.light_size * penumbra_ratio(footprint.is_point, receiver_depth, blocker_depth)
-            half_width = 0.5 * width * pixels_per_length(gbuffer.view, record.depth)
-        if moved:
+            # equation 6, from the depth of the point itself: it may be turned away from this sample, if not from all
+            receiver_depth = locate(light_map, position_ws)[2]
+            ratio = penumbra_ratio(footprint.is_point, receiver_depth, receiver_depth * (1.0 - record.blocker_rise))
+            width_px = settings.light_size * ratio * pixels_per_length(gbuffer.view, record.depth)
+            half_width = 0.5 * width_px
+        if moves != 0:
             record.n = 0.0
             record.rho = 0.0
     write_record(current_out, y, x, record, gbuffer.view.far)
@@ -245,10 +232,18 @@ class TcSoftPaper(Technique):
             "halton", "point set on the light", unit="name", source="Scherzer 2009, sec. 4"
         )
         start: Literal["pcss", "sample"] = setting(
-            "pcss", "what a new point starts from: soft shadows of one map, or its hard test", unit="name", source="sec. 3.3"
+            "pcss",
+            "what a new point starts from: soft shadows of one map, or its hard test",
+            unit="name",
+            source="sec. 3.3",
         )
         start_weight: float = setting(
-            1.0, "samples that a start by pcss counts as; 4 converges faster", unit="samples", source="sec. 3.3", ge=1, le=64
+            1.0,
+            "samples that a start by pcss counts as; 4 converges faster",
+            unit="samples",
+            source="sec. 3.3",
+            ge=1,
+            le=64,
         )
         blocker_taps: int = setting(
             16, "taps of the start's blocker search, a square number", unit="taps", source="sec. 4", ge=1, le=4096
@@ -262,7 +257,12 @@ class TcSoftPaper(Technique):
             0.02, "t: standard error down to which pixels are smoothed", unit="1", source="sec. 4", ge=0.0, le=1.0
         )
         filter_depth_range: float = setting(
-            0.015, "largest depth difference of smoothed neighbours", unit="eye depths", source="Schwaerzler 2009", gt=0.0, le=1.0
+            0.015,
+            "largest depth difference of smoothed neighbours",
+            unit="eye depths",
+            source="Schwaerzler 2009",
+            gt=0.0,
+            le=1.0,
         )
         depth_epsilon: float = setting(
             1e-4, "largest depth difference of a point and its history", unit="scene diagonals", gt=0.0, le=1.0
@@ -271,7 +271,12 @@ class TcSoftPaper(Technique):
             "bilinear", "how the shadow buffer of the last frame is read", unit="name"
         )
         overscan: float = setting(
-            0.05, "how much larger than the frame the shadow buffer is", unit="frame sizes", source="sec. 4", ge=0.0, le=1.0
+            0.05,
+            "how much larger than the frame the shadow buffer is",
+            unit="frame sizes",
+            source="sec. 4",
+            ge=0.0,
+            le=1.0,
         )
         buffer: Literal["float32", "float16"] = setting(
             "float32", "texel format of the shadow buffer; published: float16", unit="name", source="sec. 4"

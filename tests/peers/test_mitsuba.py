@@ -25,6 +25,7 @@ pytestmark = pytest.mark.peers
 
 SCENES = Path(__file__).parents[2] / "configs" / "scenes"
 WIDTH, HEIGHT, SAMPLES = 160, 120, 256
+BATCH = 32  # samples of all pixels that Mitsuba traces at once
 SIGNIFICANCE = 0.01
 
 
@@ -87,24 +88,24 @@ def mitsuba_visibility(mi: Any, scene: Scene, frame: int) -> tuple[np.ndarray, n
     }
     content |= {f"mesh_{i}": as_shape(mi, mesh, frame) for i, mesh in enumerate(scene.meshes)}
     built = mi.load_dict(content)
-    column, row = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
-    position = mi.Point2f(
-        ((column.ravel() + 0.5) / WIDTH).astype(np.float32), ((row.ravel() + 0.5) / HEIGHT).astype(np.float32)
-    )
-    ray, _ = built.sensors()[0].sample_ray(0.0, 0.5, position, mi.Point2f(0.5, 0.5))
-    hit = built.ray_intersect(ray)
+    column, row = (np.tile(index.ravel(), BATCH) for index in np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)))
+    position = mi.Point2f(((column + 0.5) / WIDTH).astype(np.float32), ((row + 0.5) / HEIGHT).astype(np.float32))
     sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(1, WIDTH * HEIGHT)
-    facing = np.asarray(hit.n) * np.sign(-np.sum(np.asarray(hit.n) * np.asarray(ray.d), axis=0))
-    count = np.zeros(WIDTH * HEIGHT)
-    for _ in range(SAMPLES):
+    count = np.zeros((HEIGHT, WIDTH))
+    for batch in range(SAMPLES // BATCH):
+        sampler.seed(batch, len(column))
+        ray, _ = built.sensors()[0].sample_ray(0.0, 0.5, position, mi.Point2f(0.5, 0.5))
+        hit = built.ray_intersect(ray)
         way, weight = built.sample_emitter_direction(hit, sampler.next_2d(), True)
+        normal, to_light = np.asarray(hit.n), np.asarray(way.d)
         # a diffuse surface reflects nothing of what comes from behind it, however thin it is
-        count += (np.asarray(weight)[0] > 0.0) & (np.sum(facing * np.asarray(way.d), axis=0) > 0.0)
+        front = np.sum(normal * to_light, axis=0) * np.sum(normal * np.asarray(ray.d), axis=0) < 0.0
+        count += np.sum((front & (np.asarray(weight)[0] > 0.0)).reshape(BATCH, HEIGHT, WIDTH), axis=0)
     seen = np.asarray(hit.is_valid()) & ~np.asarray(hit.emitter(built) != None)  # noqa: E711 (element-wise)
-    share = np.where(seen, count / SAMPLES, np.nan).reshape(HEIGHT, WIDTH)
-    points = np.where(seen, np.asarray(hit.p), np.nan).T.reshape(HEIGHT, WIDTH, 3)
-    return share, np.sqrt(share * (1.0 - share) / (SAMPLES - 1)), points
+    seen = seen.reshape(BATCH, HEIGHT, WIDTH)[0]
+    share = np.where(seen, count / SAMPLES, np.nan)
+    points = np.asarray(hit.p).T.reshape(BATCH, HEIGHT, WIDTH, 3)[0]
+    return share, np.sqrt(share * (1.0 - share) / (SAMPLES - 1)), np.where(seen[..., None], points, np.nan)
 
 
 def rejected(difference: np.ndarray, error: np.ndarray) -> np.ndarray:

@@ -1,0 +1,60 @@
+"""Smoothing in screen space: the mean over neighbours that see about the same depth, as wide as a penumbra looks.
+
+Source: Scherzer et al. 2009, section 3.3; Schwaerzler 2009, section 5.2.3.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from wkernels.gbuffer import GBuffer
+from wkernels.geometry import RECEIVES
+from wkernels.views import View
+
+
+@wp.func
+def pixels_per_length(view: View, depth: float) -> float:
+    """How many pixels a unit length across the view covers at a depth."""
+    return 1.0 / wp.max(wp.length(view.base_dx_ws + depth * view.along_dx_ws), 1.0e-30)
+
+
+@wp.kernel
+def filter_neighbourhood(
+    first: int,
+    gbuffer: GBuffer,
+    psi: wp.array2d(dtype=float),
+    half_width_px: wp.array2d(dtype=float),
+    taps: wp.array(dtype=wp.vec2),
+    depth_range: float,
+    visibility_out: wp.array2d(dtype=float),
+):
+    """Visibility from psi, smoothed over the pixels that ask for it (Scherzer et al. 2009, section 3.3).
+
+    The mean of the pixel and of the taps that fall on a receiver of a similar depth.
+
+    Args:
+        first: Tile offset.
+        gbuffer: Receivers, (H, W).
+        psi: Hidden share of the light, (H, W), 0 to 1.
+        half_width_px: Half the filter's width in pixels; less than 1/2 for none.
+        taps: Offsets in [-1, 1]^2.
+        depth_range: Largest difference of linear eye depth, share of the pixel's own.
+        visibility_out: 1 - psi, smoothed; 1 where nothing receives.
+    """
+    row, x = wp.tid()
+    y = first + row
+    total = psi[y, x]
+    half_width = half_width_px[y, x]
+    if half_width >= 0.5:
+        count = float(1.0)
+        depth = gbuffer.depth[y, x]
+        for i in range(taps.shape[0]):
+            column = int(wp.round(float(x) + half_width * taps[i][0]))
+            line = int(wp.round(float(y) + half_width * taps[i][1]))
+            if column >= 0 and line >= 0 and column < psi.shape[1] and line < psi.shape[0]:
+                if (gbuffer.flags[line, column] & RECEIVES) != 0:
+                    if wp.abs(gbuffer.depth[line, column] - depth) < depth_range * depth:
+                        total += psi[line, column]
+                        count += 1.0
+        total = total / count
+    visibility_out[y, x] = 1.0 - total
