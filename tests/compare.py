@@ -86,7 +86,9 @@ def z_test(actual: np.ndarray, expected: np.ndarray, standard_error: np.ndarray,
     significance = 1.0 - (1.0 - 0.01) ** (1.0 / max(difference.size, 1))
     limit = norm.isf(0.5 * significance)
     passed = difference <= limit * standard_error + 1e-6
-    assert passed.mean() >= share, f"only {passed.mean():.4%} of {passed.size} values lie within {limit:.2f} standard errors"
+    assert passed.mean() >= share, (
+        f"only {passed.mean():.4%} of {passed.size} values lie within {limit:.2f} standard errors"
+    )
 
 
 def assert_within_standard_errors(
@@ -99,4 +101,6 @@ def assert_within_standard_errors(
     truth = np.asarray(expected, float)
     standard_error = np.sqrt(np.clip(truth * (1.0 - truth), 0.0, None) / (samples - 1))
     passed = np.abs(actual - truth) <= errors * standard_error + 1e-5
-    assert passed.mean() >= share, f"only {passed.mean():.4%} of {passed.size} values lie within {errors} standard errors"
+    assert passed.mean() >= share, (
+        f"only {passed.mean():.4%} of {passed.size} values lie within {errors} standard errors"
+    )

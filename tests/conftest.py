@@ -1,7 +1,7 @@
 from __future__ import annotations
 
-import small_scenes
 import pytest
+import small_scenes
 import warp as wp
 
 import wkernels  # fixes Warp's options before any test module defines a kernel

@@ -90,7 +90,7 @@ def mesh(name: str, shape: Triangles, **attributes: object) -> Mesh:
     return Mesh(name, shape[0], shape[1], **attributes)  # type: ignore[arg-type]
 
 
-# ---- lights, cameras, scenes --------------------------------------------------------------------------------------------
+# ---- lights, cameras, scenes ----------------------------------------------------------------------------------------
 
 
 def light(kind: str, centre: tuple[float, float, float] = (0.0, 10.0, 0.0), size: float = 1.5) -> Light:
@@ -123,7 +123,9 @@ def camera(
     return Camera(np.array(eye), np.array(target), np.array([0.0, 1.0, 0.0]), fov_deg, near, far)
 
 
-def scene(meshes: tuple[Mesh, ...] | list[Mesh], lamp: Light, view: Camera | Callable[[int], Camera] | None = None) -> Scene:
+def scene(
+    meshes: tuple[Mesh, ...] | list[Mesh], lamp: Light, view: Camera | Callable[[int], Camera] | None = None
+) -> Scene:
     """A scene with one light; the camera stands still unless it is a function of the frame."""
     view = view or camera()
     path = view if callable(view) else lambda frame: view
@@ -160,7 +162,7 @@ def corners_of(shapes: list[Triangles]) -> np.ndarray:
     return np.concatenate([vertices[faces] for vertices, faces in shapes])
 
 
-# ---- brute force --------------------------------------------------------------------------------------------------------
+# ---- brute force ----------------------------------------------------------------------------------------------------
 
 
 def ray_hits(origin: np.ndarray, along: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -40,7 +40,7 @@ def share_variance(psi: float, n: float) -> float:
 
 @wp.func
 def standard_error(psi: float, n: float) -> float:
-    """Square root of ``share_variance``: too large for low-discrepancy samples, 0 where all tests have agreed so far."""
+    """Square root of ``share_variance``: too large for low-discrepancy samples, 0 where all tests agree so far."""
     return wp.sqrt(share_variance(psi, n))
 
 

@@ -157,7 +157,7 @@ def tap_depth(receiver: Receiver, dx: float, dy: float):
     """Depth of the receiver's plane under a tap [texels], for a comparison with the texel that the tap falls into.
 
     The plane's slope, and the bias that one texel needs, grow with 1/scale^2 towards the plane's horizon (exactly so in
-    a perspective map). Where the bias outgrows the rise, and beyond the horizon, the receiver's own depth is what is left.
+    a perspective map). Where the bias outgrows the rise, and beyond the horizon, the receiver's own depth is taken.
     """
     scale = receiver.plane_scale[0] * dx + receiver.plane_scale[1] * dy + 1.0
     depth = receiver.depth

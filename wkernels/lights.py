@@ -280,6 +280,7 @@ class PolygonLight(Light):
 
     def sample(self, u: np.ndarray) -> np.ndarray:
         e1, e2, area = self._triangles()
+        area = np.maximum(area, 1e-300)  # a polygon without area still has points
         cumulative = np.cumsum(area) / area.sum()
         which = np.minimum(np.searchsorted(cumulative, u[:, 0], side="right"), len(area) - 1)
         below = np.concatenate([[0.0], cumulative])[which]
@@ -303,6 +304,8 @@ class PolygonLight(Light):
     @property
     def centre(self) -> np.ndarray:
         e1, e2, area = self._triangles()
+        if not area.sum() > 0.0:  # shrunk to a point or a line
+            return np.append(self.vertices.mean(axis=0), 1.0)
         middles = self.vertices[0] + (e1 + e2) / 3.0
         return np.append((middles * area[:, None]).sum(axis=0) / area.sum(), 1.0)
 

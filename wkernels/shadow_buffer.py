@@ -71,8 +71,8 @@ def put(texels: wp.array2d(dtype=wp.vec4), y: int, x: int, value: wp.vec4):
     texels[y, x] = value
 
 
-@wp.func
-def put(texels: wp.array2d(dtype=wp.vec4h), y: int, x: int, value: wp.vec4):  # type: ignore[no-redef]
+@wp.func  # type: ignore[no-redef]
+def put(texels: wp.array2d(dtype=wp.vec4h), y: int, x: int, value: wp.vec4):
     """Stores a texel, rounded to nearest."""
     texels[y, x] = wp.vec4h(wp.float16(value[0]), wp.float16(value[1]), wp.float16(value[2]), wp.float16(value[3]))
 
@@ -96,8 +96,8 @@ def write_record(texels: wp.array2d(dtype=Any), y: int, x: int, record: ShadowRe
 
 
 @wp.func
-def test_shadow(gbuffer: GBuffer, y: int, x: int, light_map: LightMap, bias: Bias) -> ShadowTest:
-    """The hard shadow test of a receiving pixel, equation 1, as ``compare_nearest`` does it, and who casts the shadow."""
+def shadow_test(gbuffer: GBuffer, y: int, x: int, light_map: LightMap, bias: Bias) -> ShadowTest:
+    """The hard shadow test of a receiving pixel, equation 1, as ``compare_nearest`` makes it, and who casts there."""
     result = ShadowTest()
     result.receiver.layer = -1
     result.moves = wp.where((gbuffer.flags[y, x] & MOVES) != 0, 1, 0)

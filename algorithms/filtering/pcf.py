@@ -10,8 +10,9 @@ centre.
 Deviations: comparisons are with the receiver's plane under each tap, where the bias knows it, and not with one depth
 for all; a constant bias would have to grow with the kernel.
 Known artefacts: the penumbra is as wide at the contact as far away; bands, as n taps give n + 1 levels (less so with
-bilinear taps); with biases that know no plane a wide kernel shadows its own surface; taps beyond the map, and beyond
-the 5 % by which the faces of an omnidirectional map overlap, repeat the texel at its border.
+bilinear taps); with biases that know no plane a wide kernel shadows its own surface; past a concave edge the
+receiver's plane runs below the neighbouring surface, which darkens the seam; taps beyond the map, and beyond the 5 %
+by which the faces of an omnidirectional map overlap, repeat the texel at its border.
 """
 
 from __future__ import annotations

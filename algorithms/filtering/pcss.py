@@ -1,21 +1,25 @@
 """Percentage-closer soft shadows: a filter as wide as the penumbra that a blocker search predicts (Fernando 2005).
 
 1. Blocker search: mean depth z_b of the map's texels that hide the receiver, at taps over the region that the light
-   covers as seen from the receiver, R_s = L (z_r - near) / z_r on the near plane. No blocker: lit.
+   covers as seen from the receiver, R_s = L (z_r - near) / z_r on the near plane. No blocker: lit, and no filter
+   (Stingl 2011, section 3.6).
 2. Penumbra width, with light, blocker and receiver parallel: w = L (z_r - z_b) / z_b (Schwaerzler 2009, equation 5.6;
-   Scherzer et al. 2009, equation 6), for a directional light of angle a: w = 2 tan(a/2) (z_r - z_b).
-3. Percentage-closer filter of that width on the plane of the receiver: w near / (z_r plane size) in map coordinates.
+   Scherzer et al. 2009, equation 6). A directional light of angle a, whose L / z_b is 2 tan(a/2): w = 2 tan(a/2) (z_r
+   - z_b).
+3. Percentage-closer filter of that width on the plane of the receiver: w near / (z_r near plane's size) in map
+   coordinates.
 
 Deviations: ``near`` of the search is the depth of the nearest caster in the map, not the near plane, which lies at
 the light and would spread the taps over the whole map. Filters have the shape of the light on the map's axes, so that
-a rectangle, a line or a tilted disc gives its own widths; of a polygon only its second moments count. Width on the
-map comes from the map's own matrix (equations 5.9 and 5.10 print near / z alone, the size on the near plane). Widths
-are limited to the map's side where blocker or light come close to the receiver.
+a rectangle, a line or a tilted disc gives its own widths; of a polygon only its second moments count. Comparisons are
+with the receiver's plane under each tap, where the bias knows it. Widths are limited to the map's side where blocker
+or light come close to the receiver.
 Known artefacts: bands in wide penumbrae with 16 taps, noise instead with ``rotate``; where casters overlap their
 depths are averaged, and so are their penumbrae; a sparse search misses thin casters and the outer penumbra, which is
-then lit; receivers that touch their caster find themselves; taps beyond the map, and beyond the 5 % by which the
-faces of an omnidirectional map overlap, repeat the texel at its border. ``poisson`` fills a disc, which suits discs,
-spheres and the sun; for rectangles and lines ``box`` is exact.
+then lit; a caster close to the light widens the search of every receiver; past a concave edge the receiver's plane
+runs below the neighbouring surface, which then counts as a blocker; taps beyond the map, and beyond the 5 % by which
+the faces of an omnidirectional map overlap, repeat the texel at its border. ``poisson`` fills a disc, which suits
+discs, spheres and the sun; for rectangles and lines ``box`` is exact.
 """
 
 from __future__ import annotations

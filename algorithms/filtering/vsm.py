@@ -148,7 +148,6 @@ class Vsm(Technique):
             5,
             "taps of the Gaussian along each axis, odd (width fixed)",
             unit="texels",
-            source="Donnelly 2006",
             ge=1,
             le=255,
         )
@@ -159,7 +158,7 @@ class Vsm(Technique):
             1e-5,
             "least variance, of depth over the scene's depth range",
             unit="1",
-            source="Donnelly 2006",
+            source="Lauritzen 2007",
             gt=0.0,
             le=1.0,
         )
@@ -172,7 +171,7 @@ class Vsm(Technique):
             le=0.99,
         )
         slope_variance: bool = setting(
-            False, "adds the variance of depth within each texel", unit="yes/no", source="Donnelly 2006"
+            False, "adds the variance of depth within each texel", unit="yes/no", source="Lauritzen 2007"
         )
 
         @field_validator("taps")

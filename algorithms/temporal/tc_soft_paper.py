@@ -4,19 +4,19 @@ Every frame draws one depth map from the next point of the light (Halton). The h
 what its point already knows: a screen-sized *shadow buffer* of rho (sum of tests), n (their number), linear eye depth
 and mean blocker depth, found again by reprojection (equations 1 to 5), 5 % larger than the frame so that the border
 has neighbours and history. Points that are new to the eye, or reached by the shadow of a moving caster, start from
-percentage-closer soft shadows with 4 x 4 blocker and 4 x 4 filter taps on the frame's own map, counted as
-``start_weight`` samples (section 3.3; 4 converges faster). Pixels whose standard error sqrt(psi (1 - psi) / (n - 1))
-exceeds t = 1/50, and new ones, are *shown* smoothed by 16 taps over neighbours of similar depth, as wide as the
-penumbra of equation 6; the buffer keeps the unsmoothed sums. The mean blocker depth is refined by one sample a frame
-(equation 7, k = 16).
+percentage-closer soft shadows (Fernando 2005) with 4 x 4 blocker and 4 x 4 filter taps on the frame's own map,
+counted as ``start_weight`` samples (section 3.3, which finds 4 faster). Pixels whose standard error,
+sqrt(psi (1 - psi) / (n - 1)), exceeds t = 1/50, and new ones, are *shown* smoothed by 16 taps over neighbours of
+similar depth, as wide as the penumbra of equation 6; the buffer keeps the unsmoothed sums. The mean blocker depth is
+refined by one sample a frame (equation 7, k = 16).
 
 Deviations, where the paper is silent or wrong:
 - n = 1 has no standard error (equation 3 is 0/0): 1. The first frame, like any new point, starts from n = 0.
 - The start is not followed by the same map's hard test: its taps have seen that map already.
 - Equation 4 compares absolute depths, in what unit is not said: ``depth_epsilon`` is a share of the scene's diagonal
-  (the thesis compares relative depths). It is tested at the centre of each history texel, on the receiver's plane,
-  and only texels that pass are interpolated: no surface is mixed with another. ``history: nearest`` reads one texel,
-  but history then sticks to the screen under an eye that moves by less than half a pixel a frame.
+  (Schwaerzler 2009 compares relative depths). It is tested at the centre of each history texel, on the receiver's
+  plane, and only texels that pass are interpolated: no surface is mixed with another. ``history: nearest`` reads one
+  texel, but history then sticks to the screen under an eye that moves by less than half a pixel a frame.
 - Equation 6 maps a length to the near plane only; here it is pixels, pw H / (2 depth tan(fov / 2)).
 - Equation 7 counts frames, but only frames with a blocker add to its sum: shadowed samples are counted.
 - n stops at 2048 in the published float16 buffer while rho goes on: ``buffer: float16`` halves both at 1024 (float32
@@ -62,8 +62,8 @@ from wkernels.shadow_buffer import (
     Storage,
     fetch_record,
     refine_blocker,
+    shadow_test,
     storage_of,
-    test_shadow,
     write_record,
 )
 from wkernels.views import View
@@ -139,7 +139,7 @@ def update_shadow_buffer(
         position_ws = gbuffer.position_ws[y, x]
         normal_ws = gbuffer.normal_ws[y, x]
 
-        test = test_shadow(gbuffer, y, x, light_map, settings.bias)
+        test = shadow_test(gbuffer, y, x, light_map, settings.bias)
         moves = test.moves
         if settings.has_history != 0 and moves == 0:
             record = fetch_record(

@@ -151,7 +151,8 @@ class Twin:
             for i in (0, 1):
                 for j in (0, 1):
                     texel = np.minimum(corner + (i, j) + 0.5, len(self.depth) - 0.5)
-                    depth = rows[0] @ (*(texel - here), 1.0) / (rows[1] @ (*(texel - here), 1.0)) - self.bias
+                    rise, scale = rows[0] @ (*(texel - here), 1.0), rows[1] @ (*(texel - here), 1.0)
+                    depth = rise / scale - self.bias if scale > 0.0 else np.inf
                     total += self.lit(depth, texel)[0] * (f[0] if i else 1.0 - f[0]) * (f[1] if j else 1.0 - f[1])
         return total / len(taps)
 
@@ -159,7 +160,7 @@ class Twin:
 @pytest.mark.parametrize("kernel", sorted(TAP_SETS))
 def test_filters_and_search_agree_with_numpy(kernel: str, device: str) -> None:
     rng = np.random.default_rng(1)
-    n, size, bias = 60, 24, 0.02
+    n, size, bias = 60, 24, 0.6
     depth = rng.uniform(2.0, 8.0, (size, size)).astype(np.float32)
     depth[rng.random((size, size)) < 0.2] = np.inf
     depth[rng.random((size, size)) < 0.2] *= -1.0  # tagged as moving, which must not matter here
@@ -167,7 +168,7 @@ def test_filters_and_search_agree_with_numpy(kernel: str, device: str) -> None:
     spread = rng.normal(size=(n, 2, 2), scale=3.0).astype(np.float32)
     middle = rng.uniform(3.0, 7.0, n)
     plane_depth = np.column_stack([rng.normal(size=(n, 2), scale=0.05), middle]).astype(np.float32)
-    plane_scale = np.column_stack([rng.normal(size=(n, 2), scale=0.03), np.ones(n)]).astype(np.float32)
+    plane_scale = np.column_stack([rng.normal(size=(n, 2), scale=0.08), np.ones(n)]).astype(np.float32)
     plane_scale[:, :2] *= np.arange(n)[:, None] % 3 > 0  # every third plane is affine, as in orthographic maps
     taps = tap_set(kernel, 9)
     nearest, bilinear = (wp.zeros(n, dtype=float, device=device) for _ in range(2))
@@ -478,6 +479,18 @@ def test_a_sparse_search_loses_the_outer_penumbra() -> None:
     dense = render(scene, "pcss", blocker_taps=64).visibility
     outer = (x < -0.15) & (x > -0.9)
     assert (sparse[outer] == 1.0).all() and dense[outer].mean() < 0.85
+
+
+def test_wide_kernels_do_not_shadow_the_plane_that_they_lie_on() -> None:
+    """A lamp close over the ground: towards the horizon one texel spans ever more depth than at the receiver."""
+    chip = small.mesh("chip", small.box((0.0, 1.7, 0.0), (0.1, 0.05, 0.1)))
+    lamp = SphereLight(center=np.array([0.0, 2.0, 0.0]), radius=0.15)
+    scene = small.scene([small.mesh("ground", small.plane(12.0)), chip], lamp)
+    truth = render(scene, "reference_multisample", samples=64, size=(128, 96)).visibility
+    for params in ({}, {"width": "pcss"}):
+        image = render(scene, "vsm" if params else "pcss", size=(128, 96), **params).visibility
+        lit = truth == 1.0
+        assert lit.sum() > 5000 and np.mean(image[lit] < 0.95) < 0.005
 
 
 def test_turned_taps_are_noise_round_the_same_mean() -> None:

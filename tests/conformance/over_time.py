@@ -38,7 +38,9 @@ def earlier_frames_leave_no_trace(technique: type[Technique], device: str) -> No
     alone = run_frames(technique(small_params(technique)), open_session(scene, device), 3, 1)
     np.testing.assert_array_equal(after_a_walk.visibility, alone.visibility)
     np.testing.assert_array_equal(after_a_walk.standard_error, alone.standard_error)
-    still = run_frames(technique(small_params(technique)), open_session(replace(scene, camera=lambda i: scene.camera(0)), device), 0, 1)
+    still = run_frames(
+        technique(small_params(technique)), open_session(replace(scene, camera=lambda i: scene.camera(0)), device), 0, 1
+    )
     assert np.nansum(np.abs(np.nan_to_num(still.visibility) - np.nan_to_num(alone.visibility))) > 1.0
 
 
@@ -47,7 +49,7 @@ def a_still_view_converges(technique: type[Technique], device: str) -> None:
     kind = kinds_of(technique)[0]
     expected = truth(technique, small_scenes.box_on_ground, device, kind)
     session = open_session(small_scenes.box_on_ground(small_scenes.light(kind)), device)
-    made = technique(small_params(technique, resolution=1024))
+    made = technique(small_params(technique, resolution=512))
     rmse: dict[int, float] = {}
     previous = np.zeros(0)
     for frame in range(128):

@@ -110,16 +110,22 @@ def rotation(seed: int) -> np.ndarray:
 
 @check()
 def turning_the_world_changes_nothing(technique: type[Technique], device: str) -> None:
-    """Maps look from elsewhere afterwards, so edges may move within a texel, to either side."""
-    params = small_params(technique, resolution=1024, samples=64)
+    """Maps look from elsewhere afterwards and their texels have another size, so edges may move a little.
+
+    The light is far enough away to stay outside the box round the turned scene, which one map covers before and after.
+    """
+    params = small_params(technique, resolution=1024)
     frames = 16 if technique.needs.history else 1
+    high = lamp(technique, centre=(0.0, 30.0, 0.0), size=4.0)
     for scene in scenes_for(technique):
+        scene = replace(scene, lights=(high,))
         expected = render(technique, scene, device, params=params, frames=frames).visibility
         moved = moved_world(scene, rotation(3), np.array([30.0, -20.0, 50.0]))
         actual = render(technique, moved, device, params=params, frames=frames).visibility
-        assert_same_image(actual, expected, tolerance=0.15, flips=0.04)
+        assert_same_image(actual, expected, tolerance=0.15, flips=0.04, biased=True)
         difference = actual - expected
-        assert abs(np.nanmean(difference)) < 0.005 and np.sqrt(np.nanmean(difference**2)) < 0.08
+        mean, spread = float(np.nanmean(difference)), float(np.sqrt(np.nanmean(difference**2)))
+        assert abs(mean) < 0.008 and spread < 0.08, f"differs by {mean:+.4f} in the mean, {spread:.4f} rms"
 
 
 @check()
@@ -127,7 +133,9 @@ def moving_the_world_a_million_units_changes_nothing(technique: type[Technique],
     offset = np.array([1e6, -1e6, 1e6])
     for scene in scenes_for(technique):
         expected = render(technique, scene, device, frames=frames_of(technique)).visibility
-        actual = render(technique, moved_world(scene, np.eye(3), offset), device, frames=frames_of(technique)).visibility
+        actual = render(
+            technique, moved_world(scene, np.eye(3), offset), device, frames=frames_of(technique)
+        ).visibility
         assert_same_image(actual, expected, tolerance=1e-3, flips=0.005)
 
 
@@ -168,8 +176,8 @@ def low_box(light: Light) -> Scene:
 
 @check()
 def every_light_kind_casts_its_shadow(technique: type[Technique], device: str) -> None:
-    params = small_params(technique, resolution=512, samples=64)
-    frames = 16 if technique.needs.history else 1
+    params = small_params(technique)
+    frames = 8 if technique.needs.history else 1
     places = [(small_scenes.box_on_ground, (1.0, 9.0, -2.0), 1.5), (low_box, (0.2, 1.9, 1.6), 0.3)]
     for kind in kinds_of(technique):
         for build, centre, size in places if kind != "directional" else places[:1]:

@@ -1,4 +1,4 @@
-"""What every check works with: a registry of checks, small parameters, scenes that any technique accepts, one way to render."""
+"""What every check works with: a registry, small parameters, scenes that any technique accepts, one way to render."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def takes_any_mesh(technique: type[Technique]) -> bool:
     return not technique.needs.closed_meshes and not technique.needs.planar_receiver
 
 
-# ---- parameters and rendering -------------------------------------------------------------------------------------------
+# ---- parameters and rendering ---------------------------------------------------------------------------------------
 
 
 def small_params(technique: type[Technique], **wanted: Any) -> Any:
@@ -113,7 +113,7 @@ def render(
     return run_frames(made, open_session(scene, device, **session), 0, frames)
 
 
-# ---- lights -------------------------------------------------------------------------------------------------------------
+# ---- lights ---------------------------------------------------------------------------------------------------------
 
 
 def kinds_of(technique: type[Technique]) -> list[str]:
@@ -166,7 +166,7 @@ def turned(light: Light, rotation: np.ndarray, offset: np.ndarray) -> Light:
     return replace(light, vertices=light.vertices @ rotation.T + offset)
 
 
-# ---- scenes -------------------------------------------------------------------------------------------------------------
+# ---- scenes ---------------------------------------------------------------------------------------------------------
 
 
 def scenes_for(technique: type[Technique]) -> list[Scene]:
@@ -207,9 +207,11 @@ def overlapping_boxes(light: Light) -> Scene:
 
 
 @functools.lru_cache(maxsize=64)
-def _reference(kind: str, centre: tuple[float, float, float], size: float, build: Callable, name: str, device: str) -> np.ndarray:
+def _reference(
+    kind: str, centre: tuple[float, float, float], size: float, build: Callable, name: str, device: str
+) -> np.ndarray:
     technique = find(name)
-    params = technique.Params(samples=256) if "samples" in technique.Params.model_fields else technique.Params()
+    params = technique.Params.model_validate({"samples": 256} if "samples" in technique.Params.model_fields else {})
     return render(technique, build(small_scenes.light(kind, centre, size)), device, params=params).visibility
 
 

@@ -16,6 +16,13 @@ def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> Bo
     return out
 
 
+def boxes(*corners: tuple[tuple[float, float, float], tuple[float, float, float]]) -> Bounds:
+    out = Bounds()
+    for low, high in corners:
+        out.add(np.array([low, high], dtype=float))
+    return out
+
+
 def project(view: HostView, points: np.ndarray) -> np.ndarray:
     """(x / w, y / w, linear depth, w) of points (N, 3)."""
     h = points @ view.ws_to_ss[:, :3].T + view.ws_to_ss[:, 3]
@@ -28,6 +35,7 @@ RECEIVERS = [
     box((-6, 0, -6), (6, 0, 6)),  # flat
     box((1, 2, 3), (1, 2, 3)),  # a point
     box((-0.01, 0, -0.01), (0.01, 50, 0.01)),  # a pole
+    boxes(((-6, 0, -6), (6, 0, 6)), ((1, 0, 1), (2, 5, 2))),  # a floor and a tower
 ]
 CASTERS = [Bounds(), box((-1, 3, -1), (1, 4, 1)), box((-1, -40, -1), (1, 40, 1))]
 
@@ -53,7 +61,7 @@ def test_a_directional_map_holds_all_receivers_and_casters_before_them(
     np.testing.assert_allclose(view.forward_ws, -light[:3], atol=1e-12)
 
 
-@pytest.mark.parametrize("receivers", RECEIVERS[:2])
+@pytest.mark.parametrize("receivers", [*RECEIVERS[:2], RECEIVERS[-1]])
 def test_a_point_outside_uses_one_map_that_holds_all_receivers(receivers: Bounds) -> None:
     views = scene_views(np.array([1.0, 12.0, -2.0, 1.0]), receivers, CASTERS[1], 256)
     assert len(views) == 1
@@ -62,6 +70,13 @@ def test_a_point_outside_uses_one_map_that_holds_all_receivers(receivers: Bounds
     assert np.abs(inside[:, :2]).max() <= 1.0 - 1.9 / 256
     assert (inside[:, 3] > 0).all() and inside[:, 2].max() <= view.far and view.near < 1e-3
     assert max(np.abs(view.window)) <= MAX_TANGENT * 1.1
+
+
+def test_a_floor_is_looked_at_straight_down_so_that_no_texel_is_wasted() -> None:
+    (view,) = scene_views(np.array([3.0, 9.0, -4.0, 1.0]), RECEIVERS[1], CASTERS[0], 256)
+    np.testing.assert_allclose(view.forward_ws, (0.0, -1.0, 0.0), atol=1e-12)
+    used = project(view, RECEIVERS[1].corners)[:, :2]
+    assert np.ptp(used, axis=0).min() > 2.0 * (1.0 - 4.0 / 256)
 
 
 @pytest.mark.parametrize(
@@ -84,7 +99,7 @@ def test_a_point_amid_the_receivers_uses_six_faces_that_leave_no_gap(position: t
         assert np.linalg.det(axes) == pytest.approx(1.0)
 
 
-# ---- perspective aliasing ---------------------------------------------------------------------------------------------
+# ---- perspective aliasing -------------------------------------------------------------------------------------------
 
 NEAR, FAR, FOV = 1.0, 40.0, 60.0
 PIXELS, TEXELS = 480, 512

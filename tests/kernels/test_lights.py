@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_scenes import light
 from scipy.stats import kstest
+from small_scenes import light
 
 from wkernels.errors import InputError
 from wkernels.lights import LIGHT_KINDS, DiscLight, Light, LinearLight, PolygonLight, RectangleLight, orthonormal_frame
@@ -12,7 +12,9 @@ from wkernels.sampling import light_set
 KINDS = sorted(LIGHT_KINDS)
 CENTRE, SIZE = (1.0, 8.0, -2.0), 1.6
 U = light_set("halton", 4096)
-EXTREME = np.array([(a, b, c) for a in (0.0, 0.5, 1.0 - 1e-12) for b in (0.0, 0.5, 1.0 - 1e-12) for c in (0.0, 1.0 - 1e-12)])
+EXTREME = np.array(
+    [(a, b, c) for a in (0.0, 0.5, 1.0 - 1e-12) for b in (0.0, 0.5, 1.0 - 1e-12) for c in (0.0, 1.0 - 1e-12)]
+)
 
 
 def directions(count: int, seed: int = 0) -> np.ndarray:

@@ -30,7 +30,7 @@ def reference(session: Session, samples: int, sample_set: str = "halton") -> Fra
     return session.render(technique(technique.Params(samples=samples, sample_set=sample_set)))
 
 
-# ---- one sample, brute force --------------------------------------------------------------------------------------------
+# ---- one sample, brute force ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", ["point", "directional"])
@@ -89,7 +89,7 @@ def test_a_convex_body_shadows_exactly_its_turned_away_faces(device: str) -> Non
     np.testing.assert_array_equal(visibility[clear], facing[clear] > 0.0)
 
 
-# ---- many samples: proofs -------------------------------------------------------------------------------------------------
+# ---- many samples: proofs -------------------------------------------------------------------------------------------
 
 
 def floating_slab(lamp: Light) -> Scene:
@@ -120,7 +120,14 @@ def hills(lamp: Light) -> Scene:
     return small_scenes.scene([small_scenes.mesh("hills", small_scenes.terrain(14.0, 16, 2.5))], lamp)
 
 
-SCENES = {"slab": floating_slab, "boxes 1": boxes(1), "boxes 2": boxes(2), "boxes 3": boxes(3), "ball": ball, "hills": hills}
+SCENES = {
+    "slab": floating_slab,
+    "boxes 1": boxes(1),
+    "boxes 2": boxes(2),
+    "boxes 3": boxes(3),
+    "ball": ball,
+    "hills": hills,
+}
 LIGHT_CENTRES = {"high": (1.0, 9.0, -2.0), "low": (9.0, 2.0, 3.0), "amid": (0.5, 2.0, 0.5)}
 
 
@@ -168,7 +175,9 @@ def test_visibility_is_the_weighted_mean_of_hard_ones(device: str) -> None:
     expected = np.zeros((30, 40))
     hard = wp.zeros((30, 40), dtype=float, device=device)
     for light, weight in zip(samples.host, samples.weights_host, strict=True):
-        session.launch(trace_point, hard.shape, [session.gbuffer(), session.casters(), wp.vec4(*light), session.reach], [hard])
+        session.launch(
+            trace_point, hard.shape, [session.gbuffer(), session.casters(), wp.vec4(*light), session.reach], [hard]
+        )
         expected += weight * hard.numpy()
     expected /= samples.weights_host.sum()
     seen = np.isfinite(soft.visibility)
@@ -189,7 +198,7 @@ def test_standard_error_is_the_binomial_one(device: str) -> None:
     assert (error.numpy() == 1.0).all(), "one sample says nothing about its own error"
 
 
-# ---- closed forms ---------------------------------------------------------------------------------------------------------
+# ---- closed forms ---------------------------------------------------------------------------------------------------
 
 Z_LIGHT, Z_OCCLUDER = 10.0, 5.0  # heights over the receiver; the occluder is half-way
 # below the occluder, which therefore does not hide the receiver
@@ -257,7 +266,9 @@ def check_closed_form(
 
 def test_a1_half_plane_under_a_square_light(device: str) -> None:
     width = 2.0 * (Z_LIGHT - Z_OCCLUDER) / Z_OCCLUDER  # L (zr - zb) / zb
-    check_closed_form(rectangle(0, 90, -90, 90), square_light(2.0), lambda x, z: np.clip(0.5 - x / width, 0.0, 1.0), device)
+    check_closed_form(
+        rectangle(0, 90, -90, 90), square_light(2.0), lambda x, z: np.clip(0.5 - x / width, 0.0, 1.0), device
+    )
 
 
 def test_a2_half_plane_under_a_disc_light(device: str) -> None:

@@ -78,7 +78,12 @@ def test_fov_is_vertical_and_aspect_comes_from_the_pixels() -> None:
 
 
 def test_axes_are_orthonormal_and_right_handed_even_straight_down() -> None:
-    for eye, target in [((0, 5, 0), (0, 0, 0)), ((0, -5, 0), (0, 0, 0)), ((3, 2, 1), (0, 0, 0)), ((0, 5, 1e-9), (0, 0, 0))]:
+    for eye, target in [
+        ((0, 5, 0), (0, 0, 0)),
+        ((0, -5, 0), (0, 0, 0)),
+        ((3, 2, 1), (0, 0, 0)),
+        ((0, 5, 1e-9), (0, 0, 0)),
+    ]:
         view = eye_view(camera(eye, target), 8, 8, ORIGIN)
         axes = np.stack([view.right_ws, view.up_ws, -view.forward_ws])
         np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)

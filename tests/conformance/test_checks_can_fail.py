@@ -1,0 +1,51 @@
+"""A healthy technique passes every check; for every check there are ill ones that it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import declared  # noqa: F401  (registers its checks)
+import over_time  # noqa: F401
+import pytest
+import rendered  # noqa: F401
+from rig import CHECKS, Check
+
+from algorithms.plugins import load_all
+from algorithms.technique import Technique
+
+HONEST = Path(__file__).with_name("honest.py")
+
+
+@pytest.fixture(scope="module")
+def honest() -> type[Technique]:
+    return load_all([HONEST])["honest"]
+
+
+@pytest.mark.parametrize("check", CHECKS.values(), ids=lambda check: check.name)
+def test_the_healthy_technique_passes(check: Check, honest: type[Technique], device: str) -> None:
+    if not check.applies(honest):
+        assert check.name in {
+            "a_still_view_converges",
+            "disoccluded_pixels_ignore_history",
+            "a_reset_forgets_everything",
+        }
+        return
+    check.run(honest, device)
+
+
+def broken_techniques() -> list:
+    from broken import BROKEN
+
+    return [pytest.param(name, technique, id=f"{name}-{technique.__doc__}") for name, technique in BROKEN]
+
+
+@pytest.mark.parametrize(("name", "technique"), broken_techniques())
+def test_an_ill_technique_is_refused(name: str, technique: type[Technique], device: str) -> None:
+    assert CHECKS[name].applies(technique), "the fault is never looked at"
+    with pytest.raises(AssertionError):
+        CHECKS[name].run(technique, device)
+
+
+def test_every_check_refuses_something() -> None:
+    refused = {param.values[0] for param in broken_techniques()}
+    assert refused == set(CHECKS)

@@ -1,0 +1,192 @@
+"""Rules that a reader of one file cannot see: which way imports point, file sizes, the shape of kernels."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+LAYERS = ("wkernels", "algorithms", "experiments")  # a layer imports only itself and those before it
+MAX_LINES = 400
+# written in pieces, so that this file does not contain what it looks for
+REGISTRIES = (
+    "py" + "pi.org",
+    "pythonhosted" + ".org",
+    "ana" + "conda.org",
+    "conda" + ".io",
+    "npm" + "js.org",
+    "crates" + ".io",
+    "proxy.golang" + ".org",
+)
+
+
+def sources(layer: str) -> list[Path]:
+    return sorted((ROOT / layer).rglob("*.py"))
+
+
+ALL = [path for layer in LAYERS for path in sources(layer)]
+
+
+def imports_of(text: str, package: str) -> Iterator[str]:
+    """Full names of the modules that a file imports anywhere in it; ``package`` is what relative imports start from."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+            module = ".".join([*base, *([node.module] if node.module else [])])
+            yield module
+            yield from (f"{module}.{alias.name}" for alias in node.names)
+
+
+def package_of(path: Path) -> str:
+    return ".".join(path.relative_to(ROOT).parent.parts)
+
+
+def forbidden(layer: str, imported: str) -> bool:
+    head = imported.split(".")[0]
+    return head in LAYERS and LAYERS.index(head) > LAYERS.index(layer)
+
+
+def is_technique(path: Path) -> bool:
+    parts = path.relative_to(ROOT).parts
+    return len(parts) == 3 and parts[0] == "algorithms" and path.stem != "__init__"
+
+
+def other_technique(path: Path, imported: str) -> bool:
+    """Whether a module name is another plugin's file; what two plugins share lives below them."""
+    target = ROOT.joinpath(*imported.split(".")).with_suffix(".py")
+    return target != path and target.is_file() and is_technique(target)
+
+
+def test_there_is_something_to_walk() -> None:
+    assert all(sources(layer) for layer in LAYERS)
+    assert sum(is_technique(path) for path in ALL) >= 8
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_imports_point_one_way(layer: str) -> None:
+    wrong = [
+        f"{path.relative_to(ROOT)} imports {name}"
+        for path in sources(layer)
+        for name in imports_of(path.read_text(encoding="utf-8"), package_of(path))
+        if forbidden(layer, name)
+    ]
+    assert not wrong, wrong
+
+
+def test_no_technique_imports_another() -> None:
+    wrong = [
+        f"{path.relative_to(ROOT)} imports {name}"
+        for path in sources("algorithms")
+        if is_technique(path)
+        for name in imports_of(path.read_text(encoding="utf-8"), package_of(path))
+        if other_technique(path, name)
+    ]
+    assert not wrong, wrong
+
+
+def test_the_walk_sees_every_form_of_import() -> None:
+    text = "import a.b as c\nfrom d import e\ndef f():\n    from ..g import h\n    from . import i\n"
+    names = set(imports_of(text, "algorithms.hard"))
+    assert {"a.b", "d", "d.e", "algorithms.g.h", "algorithms.hard.i"} <= names
+    assert forbidden("wkernels", "algorithms.technique") and forbidden("algorithms", "experiments")
+    assert not forbidden("experiments", "wkernels.frame") and not forbidden("wkernels", "numpy")
+    pcf, pcss = ROOT / "algorithms/filtering/pcf.py", "algorithms.filtering.pcss"
+    assert other_technique(pcf, pcss) and not other_technique(pcf, "algorithms.filtering.pcf")
+    assert not other_technique(pcf, "algorithms.technique") and not other_technique(pcf, "wkernels.filtering")
+
+
+def test_files_stay_short() -> None:
+    lines = {str(path.relative_to(ROOT)): len(path.read_text(encoding="utf-8").splitlines()) for path in ALL}
+    long = {name: count for name, count in lines.items() if count > MAX_LINES}
+    assert not long, f"over {MAX_LINES} lines: {long}"
+
+
+def kernels_of(tree: ast.Module) -> Iterator[tuple[ast.FunctionDef, bool]]:
+    """Every function decorated with ``wp.kernel``, and whether it is at module scope."""
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.FunctionDef):
+            continue
+        for decorator in node.decorator_list:
+            called = decorator.func if isinstance(decorator, ast.Call) else decorator
+            if ast.unparse(called) in ("wp.kernel", "warp.kernel", "kernel"):
+                yield node, node in tree.body
+
+
+def kernel_faults(text: str) -> list[str]:
+    faults = []
+    for kernel, at_module_scope in kernels_of(ast.parse(text)):
+        arguments = kernel.args.args
+        if not at_module_scope:
+            faults.append(f"line {kernel.lineno}: kernel {kernel.name} is not at module scope")
+        if (
+            not arguments
+            or arguments[0].arg != "first"
+            or ast.unparse(arguments[0].annotation or ast.Constant("")) != "int"
+        ):
+            faults.append(f"line {kernel.lineno}: the first parameter of {kernel.name} is not `first: int`")
+    return faults
+
+
+def test_kernels_are_at_module_scope_and_take_their_offset_first() -> None:
+    faults = {str(path.relative_to(ROOT)): kernel_faults(path.read_text(encoding="utf-8")) for path in ALL}
+    assert not {name: found for name, found in faults.items() if found}
+    count = sum(1 for path in ALL for _ in kernels_of(ast.parse(path.read_text(encoding="utf-8"))))
+    assert count >= 20
+
+
+def test_kernel_faults_are_found() -> None:
+    assert not kernel_faults("@wp.kernel\ndef k(first: int, x: float): pass\n")
+    assert kernel_faults("@wp.kernel\ndef k(x: float, first: int): pass\n")
+    assert kernel_faults("@wp.kernel(enable_backward=False)\ndef k(first: float): pass\n")
+    assert kernel_faults("def f():\n    @wp.kernel\n    def k(first: int): pass\n")
+
+
+def test_launches_go_through_one_door() -> None:
+    """``wp.launch`` anywhere else would ignore the threads."""
+    door = ROOT / "wkernels" / "launch.py"
+    wrong = [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path in ALL
+        if path != door
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and ast.unparse(node.func) in ("wp.launch", "wp.launch_tiled")
+    ]
+    assert not wrong, wrong
+
+
+def project_files() -> list[Path]:
+    """Files that git tracks or would track; everything but caches where there is no git."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT,
+        capture_output=True,
+        check=False,
+    )
+    if listed.returncode == 0 and listed.stdout:
+        found = [ROOT / name for name in listed.stdout.decode().split("\0") if name]
+    else:
+        found = [path for path in ROOT.rglob("*") if not any(part.startswith((".", "__")) for part in path.parts)]
+    return [path for path in found if path.is_file()]
+
+
+def test_no_file_names_a_package_registry() -> None:
+    files = project_files()
+    assert len(files) > 50
+    wrong = []
+    for path in files:
+        content = path.read_bytes()
+        wrong += [f"{path.relative_to(ROOT)}: {host}" for host in REGISTRIES if host.encode() in content]
+    assert not wrong, wrong
+
+
+def test_no_tracked_file_is_large() -> None:
+    large = {
+        str(path.relative_to(ROOT)): path.stat().st_size for path in project_files() if path.stat().st_size > 500_000
+    }
+    assert not large, large
