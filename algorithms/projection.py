@@ -1,8 +1,8 @@
 """Projections: where light depth maps look, composed of a fit, a warp, splits and a stabilisation.
 
-A fit is a plugin: one class in one file of ``algorithms/projections/``, found by scanning that folder. A warp of ``none``, a
-single split and a stabilisation of ``none`` are the identity and need no file. Every technique that reads a light depth map
-does so through whatever composition its session was given.
+A fit is a plugin: one class in one file of ``algorithms/projections/``, found by scanning that folder. A warp of
+``none``, a single split and a stabilisation of ``none`` are the identity and need no file. Every technique that reads a
+light depth map does so through whatever composition its session was given.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ class Fit(ABC):
         """The views of one light sample.
 
         Args:
-            light_ws: Light sample, float64 (4,), rebased world: a point (w = 1) or the direction towards the light (w = 0).
+            light_ws: Light sample, float64 (4,), rebased world: a point (w = 1) or the direction towards the light
+                (w = 0).
             receivers: Box of what is to be covered, rebased world; never empty.
             casters: Box of what can cast; may be empty.
             resolution: Texels per side of each view.
@@ -99,5 +100,7 @@ def _fit_of(path: Path) -> type[Fit]:
     ]
     names = [getattr(value, "name", None) for value in found]
     if names != [path.stem]:
-        raise InputError(f"a projection file holds exactly one Fit with the file's name, this one holds {names}", file=path)
+        raise InputError(
+            f"a projection file holds exactly one Fit with the file's name, this one holds {names}", file=path
+        )
     return found[0]

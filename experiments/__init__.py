@@ -1,7 +1,7 @@
 """Experiments with shadow techniques: scenes, reference, metrics, walkthroughs, reports.
 
-``render_visibility`` and ``reference_visibility`` are the calls for scripts and notebooks; importing this package alone loads
-neither Warp nor any technique.
+``render_visibility`` and ``reference_visibility`` are the calls for scripts and notebooks; importing this package alone
+loads neither Warp nor any technique.
 """
 
 from __future__ import annotations

@@ -51,8 +51,8 @@ def render_visibility(
         params: The technique's parameters by name; defaults for the rest.
         projection: Where light depth maps look, with the keys of an experiment file's ``projection``.
         frame: Frame of the scene's path, at least 0; frames behind its end hold its end.
-        frames: How many frames are rendered, the last of them ``frame``: a method with history finds ``frames - 1`` earlier
-            ones. Where the path has no frame that early it holds its first.
+        frames: How many frames are rendered, the last of them ``frame``: a method with history finds ``frames - 1``
+            earlier ones. Where the path has no frame that early it holds its first.
         width, height: Pixels, 1 to 16384.
         light: Index of the light whose visibility is asked for.
         device: ``cpu`` or a CUDA device.
@@ -63,8 +63,8 @@ def render_visibility(
 
     Returns:
         The last frame: ``visibility`` float32 (H, W), 1 = whole light visible, NaN where no receiver is seen;
-        ``world_position`` float32 (H, W, 3), scene units; ``standard_error``, ``color``, times (of a first rendering, which
-        loads kernels: no benchmark) and what was left out; see ``wkernels.frame.FrameResult``.
+        ``world_position`` float32 (H, W, 3), scene units; ``standard_error``, ``color``, times (of a first rendering,
+        which loads kernels: no benchmark) and what was left out; see ``wkernels.frame.FrameResult``.
 
     Raises:
         InputError: Anything in the arguments or the scene is wrong, or the technique cannot work with the light.

@@ -1,8 +1,8 @@
 """The reference that techniques are scored by: ray cast, with its own standard error, cached on disk by content.
 
-A reference depends on the triangles at its frame, the camera, the light, the sample set and the code that traces it; all of
-these are hashed into the name of its cache file, so that nothing has to be invalidated. A file that is damaged, or is not what
-its name promises, counts as absent and is written anew.
+A reference depends on the triangles at its frame, the camera, the light, the sample set and the code that traces it.
+All of these are hashed into the name of its cache file, so that nothing has to be invalidated. A file that is damaged,
+or is not what its name promises, counts as absent and is written anew.
 """
 
 from __future__ import annotations
@@ -31,7 +31,18 @@ from wkernels.geometry import Geometry
 CACHE_VARIABLE = "WKERNELS_CACHE"
 MAX_SAMPLES = 1_000_000
 AREA_TECHNIQUE, POINT_TECHNIQUE = "reference_multisample", "ray_cast_point_shadow"
-TRACING_MODULES = ("rays", "raster", "gbuffer", "geometry", "views", "lights", "light_map", "sampling", "disc_sets")
+TRACING_MODULES = (
+    "rays",
+    "light_proofs",
+    "raster",
+    "gbuffer",
+    "geometry",
+    "views",
+    "lights",
+    "light_map",
+    "sampling",
+    "disc_sets",
+)
 """Modules of wkernels whose text decides a reference's values."""
 
 
@@ -41,8 +52,8 @@ class Reference:
 
     Attributes:
         visibility: float32 (H, W), 1 = whole light visible; NaN where no receiver is seen.
-        standard_error: float32 (H, W), that of independent samples and so an upper estimate; 0 for a light without area,
-            whose one ray is exact; NaN where no receiver is seen.
+        standard_error: float32 (H, W), that of independent samples and so an upper estimate; 0 for a light without
+            area, whose one ray is exact; NaN where no receiver is seen.
         from_cache: Whether it was read from the cache.
     """
 

@@ -182,6 +182,12 @@ class Session:
         self._timer.start()
         visibility = technique.render(self)
         gbuffer = self._gbuffers.get(visibility.shape) or self.gbuffer()
+        if visibility.shape != gbuffer.depth.shape or visibility.dtype != wp.float32:
+            # kernels do not check bounds: shading would read past the end
+            raise ValueError(
+                f"{type(technique).__name__}.render returned {visibility.dtype.__name__} {visibility.shape}, "
+                f"not float32 of a G-buffer's size {gbuffer.depth.shape}"
+            )
         with self._timer.timed(SHADING):
             color = self.buffer("color", visibility.shape, wp.vec3)
             shade(gbuffer, self.geometry.mesh_diffuse, self.light, visibility, color, self.device, self.threads)
@@ -352,6 +358,9 @@ class Session:
         casters = self.geometry.bounds(casters=True)
         if receivers.empty:
             receivers = casters
+        if receivers.empty:  # no meshes at all: any view will do
+            receivers = Bounds()
+            receivers.add(np.zeros((1, 3)))
         views = self.projection(sample, receivers, casters, resolution, self.eye())
         if light_ws is None or self._light_views is None:
             self._light_views = (views, sample)

@@ -104,7 +104,8 @@ class Geometry:
         self.indices = upload([f.ravel() for f in faces], wp.int32, "int32")
         self.triangles = sum(sizes)
         self.caster_triangles = sum(n for n, mesh in zip(sizes, self.meshes, strict=True) if mesh.casts)
-        self.caster_indices = self.indices[: 3 * self.caster_triangles]
+        # Warp cannot slice an array of no elements, which a scene without meshes has
+        self.caster_indices = self.indices[: 3 * self.caster_triangles] if self.triangles else self.indices
         self.triangle_mesh = upload([np.repeat(np.arange(len(sizes)), sizes)], wp.int32, "int32")
         self.mesh_flags = wp.array(np.array(flags, dtype=np.int32), dtype=wp.int32, device=device)
         self.mesh_diffuse = wp.array(diffuse, dtype=wp.vec3, device=device)

@@ -87,11 +87,13 @@ def depth_range(ws_to_ls: np.ndarray, corners_ws: np.ndarray) -> tuple[float, fl
 
     Args:
         ws_to_ls: The map's matrices, (layers, 4, 4).
-        corners_ws: Corners of the box, (8, 3), rebased world.
+        corners_ws: Corners of the box, (8, 3), rebased world; none for a scene without meshes.
 
     Returns:
         near >= 0 and far > near, scene units, over all layers.
     """
+    if len(corners_ws) == 0:
+        return 0.0, 1.0
     depth = corners_ws @ ws_to_ls[:, 2, :3].T + ws_to_ls[:, 2, 3]
     near, far = max(float(depth.min()), 0.0), max(float(depth.max()), 0.0)
     return near, max(far, near + 1e-6 * max(near, 1e-6))

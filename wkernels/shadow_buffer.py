@@ -13,7 +13,6 @@ import warp as wp
 
 from wkernels.estimators import FLOAT16_LIMIT, FLOAT32_LIMIT
 from wkernels.gbuffer import GBuffer, is_back_lit
-from wkernels.geometry import MOVES
 from wkernels.light_map import Bias, LightMap, Receiver, locate_receiver, stored_depth, to_light
 from wkernels.reprojection import accept_absolute, is_inside, reproject
 from wkernels.views import View, pixel_along_ws, pixel_base_ws
@@ -41,7 +40,7 @@ class ShadowTest:
 
     tau: float  # 1: hidden from the map's light sample, 0: lit
     blocker_rise: float  # as in ``ShadowRecord``; 0 where lit or turned away
-    moves: int  # 1: the surface, or the caster that hides it, moves
+    moves: int  # 1: the caster that hides it moves
     receiver: Receiver  # layer -1 where no lookup was needed or possible
 
 
@@ -100,7 +99,6 @@ def shadow_test(gbuffer: GBuffer, y: int, x: int, light_map: LightMap, bias: Bia
     """The hard shadow test of a receiving pixel, equation 1, as ``compare_nearest`` makes it, and who casts there."""
     result = ShadowTest()
     result.receiver.layer = -1
-    result.moves = wp.where((gbuffer.flags[y, x] & MOVES) != 0, 1, 0)
     position_ws = gbuffer.position_ws[y, x]
     if is_back_lit(gbuffer, y, x, to_light(light_map.light_ws, position_ws)):
         result.tau = 1.0

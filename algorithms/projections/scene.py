@@ -1,9 +1,9 @@
 """Fit `scene`: light views that cover every receiver of the scene, wherever the eye is.
 
-One orthographic view for a directional light, one perspective view for a point outside the receivers' box, else the six faces
-of a cube (Williams 1978; Schwaerzler 2009, section 2.2.3: one map cannot cover an omnidirectional light). Texel density is even
-over the scene, so the eye sees perspective aliasing nearby: m_x = f/z at best (Stingl 2011, equations 2.3 and 2.4). Nothing in
-it depends on the eye, which is why its shadows never swim.
+One orthographic view for a directional light, one perspective view for a point outside the receivers' box, else the six
+faces of a cube (Williams 1978; Schwaerzler 2009, section 2.2.3: one map cannot cover an omnidirectional light). Texel
+density is even over the scene, so the eye sees perspective aliasing nearby: m_x = f/z at best (Stingl 2011, equations
+2.3 and 2.4). Nothing in it depends on the eye, which is why its shadows never swim.
 """
 
 from __future__ import annotations

@@ -21,12 +21,13 @@ Deviations, where the paper is silent or wrong:
 - Equation 7 counts frames, but only frames with a blocker add to its sum: shadowed samples are counted.
 - n stops at 2048 in the published float16 buffer while rho goes on: ``buffer: float16`` halves both at 1024 (float32
   at 2^22).
-- Under a mover's shadow the sums of a frame are shown, not stored, nor are a start whose blocker search met a mover and
-  anything on a surface that moves itself: the next frame starts anew, so nothing trails.
+- Under a mover's shadow the sums of a frame are shown, not stored, nor is a start whose blocker search met a mover: the
+  next frame starts anew, so that nothing trails.
 
 Known artefacts: noise and flicker while n is small and where moving and static penumbrae overlap; SE = 0 is false
 certainty where all tests agree so far; the filter blurs penumbrae that are still above t (psi = 1/2: until n = 626);
-history blurs a little with every frame in which the eye moves.
+history blurs a little with every frame in which the eye moves, and lags on surfaces that move by less than epsilon a
+frame, as points are followed by the camera's motion alone.
 """
 
 from __future__ import annotations

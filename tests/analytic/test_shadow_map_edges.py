@@ -28,7 +28,7 @@ def texel_steps(resolution: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("resolution", [512, 2048])
-@pytest.mark.parametrize("bias", ["slope", "constant", "none", "back_face"])  # normal moves the lookup by a texel itself
+@pytest.mark.parametrize("bias", ["slope", "constant", "none", "back_face"])  # normal itself moves lookups by a texel
 def test_edges_within_one_texel(resolution: int, bias: str) -> None:
     exact = render_visibility(A8, "ray_cast_point_shadow", **SIZE)
     mapped = render_visibility(A8, "shadow_map", {"resolution": resolution, "bias": bias}, **SIZE)

@@ -115,6 +115,12 @@ calls = itertools.count()
 broken("image_is_visibility", "more light than there is", lambda v, frame: 1.5 * v)
 broken("image_is_visibility", "negative light", lambda v, frame: v - 0.1)
 broken("image_is_visibility", "no number", nan_in_corner)
+broken("image_is_visibility", "another size", lambda v, frame: v[:-2])
+broken(
+    "a_scene_without_meshes_is_no_error",
+    "takes the first vertex for granted",
+    lambda v, frame: v + 0.0 * frame.geometry.points_ws.numpy()[0, 0],
+)
 broken(
     "same_bits_on_any_number_of_threads",
     "depends on the threads",

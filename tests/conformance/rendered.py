@@ -63,6 +63,14 @@ def image_is_visibility(technique: type[Technique], device: str) -> None:
 
 
 @check()
+def a_scene_without_meshes_is_no_error(technique: type[Technique], device: str) -> None:
+    for skips in (True, False):
+        empty = small_scenes.scene([], lamp(technique))
+        result = render(technique, empty, device, skips=skips, size=(16, 12), frames=frames_of(technique))
+        assert_is_visibility(result, (16, 12), np.zeros((12, 16), bool))
+
+
+@check()
 def same_bits_on_any_number_of_threads(technique: type[Technique], device: str) -> None:
     for scene in scenes_for(technique):
         images = [

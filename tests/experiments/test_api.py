@@ -109,7 +109,9 @@ def counter(tmp_path: Path) -> Path:
     return file
 
 
-@pytest.mark.parametrize(("frame", "frames", "expected"), [(0, 1, 0.0), (3, 1, 3.0), (3, 3, 203.0), (1, 4, 301.0), (0, 3, 200.0)])
+@pytest.mark.parametrize(
+    ("frame", "frames", "expected"), [(0, 1, 0.0), (3, 1, 3.0), (3, 3, 203.0), (1, 4, 301.0), (0, 3, 200.0)]
+)
 def test_frames_lead_up_to_the_last(counter: Path, frame: int, frames: int, expected: float) -> None:
     result = render_visibility(SCENE, "frame_counter", frame=frame, frames=frames, plugins=[counter], **SIZE)
     assert np.nanmax(result.visibility) == np.nanmin(result.visibility) == expected
@@ -161,7 +163,7 @@ def test_fit_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(fit.name == name and fit.paper for name, fit in fits().items())
     (tmp_path / "absent.py").write_text("", encoding="utf-8")
     monkeypatch.setattr("algorithms.projection.FOLDER", tmp_path)
-    with pytest.raises(InputError, match="absent.py: cannot be imported"):
+    with pytest.raises(InputError, match=r"absent\.py: cannot be imported"):
         compose()
 
 

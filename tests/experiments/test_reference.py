@@ -1,5 +1,6 @@
 """The cached reference: what it is, when it is read back, and what a damaged cache does."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from experiments import reference, reference_visibility
 from experiments.reference import Reference, ReferenceRenderer, cache_folder, reference_for
 from wkernels.errors import InputError
 from wkernels.geometry import Geometry
-from wkernels.lights import DirectionalLight, DiscLight, PointLight, RectangleLight
+from wkernels.lights import DirectionalLight, DiscLight, Light, PointLight, RectangleLight
 from wkernels.scene import Camera, Mesh, Scene
 
 SIZE = {"width": 40, "height": 30}
@@ -106,7 +107,9 @@ def not_casting(of: Scene) -> Scene:
         (lambda of: scene(texture=np.array([[1.0, 0.0]])), {}),
     ],
 )
-def test_whatever_changes_pixels_changes_the_key(change, settings) -> None:  # noqa: ANN001
+def test_whatever_changes_pixels_changes_the_key(
+    change: Callable[[Scene], Scene] | None, settings: dict[str, int]
+) -> None:
     render(scene())
     changed = scene() if change is None else change(scene())
     assert not render(changed, **settings).from_cache
@@ -193,7 +196,7 @@ def test_failed_write_leaves_nothing(cache: Path, monkeypatch: pytest.MonkeyPatc
         DiscLight(center=np.array([0.0, 6.0, 0.0]), normal=np.array([0.0, -1.0, 0.0]), radius=0.0),
     ],
 )
-def test_light_without_area_takes_one_exact_ray(light) -> None:  # noqa: ANN001
+def test_light_without_area_takes_one_exact_ray(light: Light) -> None:
     of = replace(scene(), lights=(light,))
     made = render(of, samples=64)
     seen = np.isfinite(made.visibility)
