@@ -16,20 +16,21 @@ import numpy as np
 import warp as wp
 
 from wkernels import gbuffer as gb
-from wkernels.geometry import RECEIVES, Bounds, Geometry
+from wkernels.frame_result import G_BUFFER, SHADING, FrameResult, read_back
+from wkernels.geometry import Bounds, Geometry
 from wkernels.launch import launch
-from wkernels.light_views import perspective_aliasing, scene_views
+from wkernels.light_map import LightMap
+from wkernels.light_map_drawing import draw_light_map
+from wkernels.light_views import scene_views
 from wkernels.lights import Light
 from wkernels.raster import CULL_NONE, Rasteriser
 from wkernels.rays import LightHull
 from wkernels.sampling import light_set
 from wkernels.shading import shade
-from wkernels.light_map import LightMap, tag_moving
 from wkernels.timing import PassTimer
 from wkernels.views import HostView, View, eye_view
 
 MAP_BUDGET_BYTES = 512 * 2**20  # maps of many light samples are kept for later frames up to this much memory
-G_BUFFER, SHADING = "g-buffer", "shading"
 
 LightViews = Callable[[np.ndarray, Bounds, Bounds, int, HostView], list[HostView]]
 """A projection: light sample (4,), receivers' box, casters' box, map resolution, eye view -> one view per layer."""
@@ -40,34 +41,6 @@ class Renders(Protocol):
 
     def render(self, frame: Session) -> wp.array:
         """Visibility, float32, of the frame's size or of an overscanned G-buffer's."""
-
-
-@dataclass
-class FrameResult:
-    """What one rendered frame leaves behind.
-
-    Attributes:
-        visibility: float32 (H, W); NaN where no receiver is seen.
-        color: float32 (H, W, 3), linear, for people.
-        standard_error: float32 (H, W) for methods that sample the light, else None.
-        world_position: float32 (H, W, 3), scene units; NaN where nothing is seen.
-        passes: Milliseconds per pass, in order of first use.
-        frame_ms: Everything this technique needed for the frame.
-        shadow_ms: Without G-buffer and shading.
-        left_out: (what, reason, count) of work this frame did not need.
-        m_x_max, m_z_max: Largest perspective aliasing error along the view vector; NaN without a shadow map.
-    """
-
-    visibility: np.ndarray
-    color: np.ndarray
-    standard_error: np.ndarray | None
-    world_position: np.ndarray
-    passes: list[tuple[str, float]]
-    frame_ms: float
-    shadow_ms: float
-    left_out: list[tuple[str, str, int]]
-    m_x_max: float
-    m_z_max: float
 
 
 @dataclass
@@ -152,8 +125,8 @@ class Session:
         self._buffers: dict[Hashable, wp.array] = {}
         self._histories: dict[str, History] = {}
         self._previous_camera: Any = None
-        self._left_out: dict[tuple[str, str], int] = {}
-        self._light_views: tuple[list[HostView], np.ndarray] | None = None
+        self.left_out: dict[tuple[str, str], int] = {}
+        self.light_views: tuple[list[HostView], np.ndarray] | None = None
         self._gbuffers: dict[tuple[int, int], gb.GBuffer] = {}
         self._visit = 0
         self._camera: Any = None
@@ -175,8 +148,8 @@ class Session:
 
     def render(self, technique: Renders) -> FrameResult:
         """Runs one technique on the current frame and reads its results back (reading back is not timed)."""
-        self._left_out.clear()
-        self._light_views = None
+        self.left_out.clear()
+        self.light_views = None
         self._gbuffers.clear()
         self.standard_error = None
         self._timer.start()
@@ -192,7 +165,7 @@ class Session:
             color = self.buffer("color", visibility.shape, wp.vec3)
             shade(gbuffer, self.geometry.mesh_diffuse, self.light, visibility, color, self.device, self.threads)
         spent = self._timer.stop()
-        return self._read_back(gbuffer, visibility, color, spent)
+        return read_back(self, gbuffer, visibility, color, spent)
 
     def advance(self) -> None:
         """Commits the frame: what history buffers hold now is what the next frame finds as ``previous``."""
@@ -226,7 +199,7 @@ class Session:
         """Records that ``what`` is not needed here and returns True; returns False, and records nothing, with skips off."""
         if self.skips:
             key = (what, reason)
-            self._left_out[key] = self._left_out.get(key, 0) + count
+            self.left_out[key] = self.left_out.get(key, 0) + count
         return self.skips
 
     def buffer(self, name: str, shape: tuple[int, ...], dtype: type) -> wp.array:
@@ -362,16 +335,17 @@ class Session:
             receivers = Bounds()
             receivers.add(np.zeros((1, 3)))
         views = self.projection(sample, receivers, casters, resolution, self.eye())
-        if light_ws is None or self._light_views is None:
-            self._light_views = (views, sample)
+        if light_ws is None or self.light_views is None:
+            self.light_views = (views, sample)
         held_bytes = sum(p.value.depth.size * 4 for k, p in self._products.items() if isinstance(k, tuple) and k[0] == "map")
         key: Hashable = ("map", slot, resolution, cull, tag_moving_casters)
         if key not in self._products and held_bytes + 4 * resolution**2 * len(views) > MAP_BUDGET_BYTES:
             key = ("map", "shared", resolution, cull, tag_moving_casters)
         inputs = (self.geometry.version, np.stack([view.ws_to_ss for view in views]).tobytes())
+        triangle = self.buffer("map triangles", (resolution, resolution), wp.int32) if tag_moving_casters else None
 
         def build(old: LightMap | None) -> LightMap:
-            return self._draw_map(old, views, sample, resolution, cull, tag_moving_casters)
+            return draw_light_map(old, self.geometry, views, sample, self._rasteriser, cull, triangle)
 
         out: LightMap = self.product("light depth map", key, inputs, build)
         return out
@@ -386,64 +360,6 @@ class Session:
             view = eye_view(self._previous_camera, self.width, self.height, self.geometry.origin_ws, margin)
             out.previous_view = view.to_device()
         return out
-
-    # ---- inside ---------------------------------------------------------------------------------------------------------
-
-    def _draw_map(
-        self, old: LightMap | None, views: list[HostView], sample: np.ndarray, resolution: int, cull: int, tagged: bool
-    ) -> LightMap:
-        layers = len(views)
-        out = LightMap()
-        if old is not None and old.layers == layers:
-            out.depth = old.depth
-        else:
-            out.depth = wp.empty((layers, resolution, resolution), dtype=float, device=self.device)
-        matrices = np.stack([view.ws_to_ss for view in views]).astype(np.float32)
-        out.ws_to_ls = wp.array(matrices, dtype=wp.mat44, device=self.device)
-        out.right_ws = wp.array(np.stack([v.right_ws for v in views]).astype(np.float32), dtype=wp.vec3, device=self.device)
-        out.up_ws = wp.array(np.stack([v.up_ws for v in views]).astype(np.float32), dtype=wp.vec3, device=self.device)
-        out.layers, out.resolution = layers, resolution
-        out.light_ws, out.near = wp.vec4(*sample), views[0].near
-        triangle = self.buffer("map triangles", (resolution, resolution), wp.int32) if tagged else None
-        for layer, view in enumerate(views):
-            points, indices = self.geometry.points_ws, self.geometry.caster_indices
-            self._rasteriser.draw(points, indices, view.to_device(), out.depth[layer], triangle, cull)
-            if triangle is not None:
-                inputs = [triangle, self.geometry.triangle_mesh, self.geometry.mesh_flags, layer]
-                self.launch(tag_moving, triangle.shape, inputs, [out.depth])
-        return out
-
-    def _read_back(self, gbuffer: gb.GBuffer, visibility: wp.array, color: wp.array, spent: dict[str, float]) -> FrameResult:
-        rows = slice((visibility.shape[0] - self.height) // 2, (visibility.shape[0] + self.height) // 2)
-        cols = slice((visibility.shape[1] - self.width) // 2, (visibility.shape[1] + self.width) // 2)
-        flags = gbuffer.flags.numpy()[rows, cols]
-        seen = gbuffer.mesh.numpy()[rows, cols] >= 0
-        lit = visibility.numpy()[rows, cols].copy()
-        lit[(flags & RECEIVES) == 0] = np.nan
-        position = gbuffer.position_ws.numpy()[rows, cols] + self.geometry.origin_ws
-        position[~seen] = np.nan
-        error = None
-        if self.standard_error is not None:
-            error = self.standard_error.numpy()[rows, cols].copy()
-            error[np.isnan(lit)] = np.nan
-        m_x = m_z = np.nan
-        if self._light_views is not None:
-            views, sample = self._light_views
-            _, all_x, all_z = perspective_aliasing(views, sample, self.eye())
-            m_x, m_z = (float(np.nanmax(m)) if np.isfinite(m).any() else np.nan for m in (all_x, all_z))
-        total = sum(spent.values())
-        return FrameResult(
-            visibility=lit,
-            color=color.numpy()[rows, cols].copy(),
-            standard_error=error,
-            world_position=position.astype(np.float32),
-            passes=list(spent.items()),
-            frame_ms=total,
-            shadow_ms=total - spent.get(G_BUFFER, 0.0) - spent.get(SHADING, 0.0),
-            left_out=[(what, reason, count) for (what, reason), count in self._left_out.items()],
-            m_x_max=m_x,
-            m_z_max=m_z,
-        )
 
 
 def _fit_scene(sample: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int, eye: HostView) -> list[HostView]:

@@ -83,6 +83,7 @@ class Geometry:
         self.meshes: list[Mesh] = sorted(scene.meshes, key=lambda mesh: not mesh.casts)
         self.version = 0
         self._frame: int | None = None
+        self._poses: dict[int, np.ndarray] = {}
         placed = [_place(mesh, 0) for mesh in self.meshes]
         box = Bounds()
         for vertices in placed:
@@ -124,6 +125,10 @@ class Geometry:
         for i, mesh in enumerate(self.meshes):
             if not mesh.moving:
                 continue
+            pose = mesh.object_to_ws(frame)
+            if np.array_equal(pose, self._poses.get(i)):
+                continue  # a mover that pauses leaves every map as it was
+            self._poses[i] = pose
             vertices = _place(mesh, frame) - self.origin_ws
             self._boxes[i] = _box(vertices)
             region = self._ranges[i]

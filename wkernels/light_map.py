@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.geometry import MOVES
 
 BIAS_KINDS = ("none", "constant", "slope", "back_face", "slope_back_face", "normal")
 BIAS_NONE, BIAS_CONSTANT, BIAS_SLOPE, BIAS_NORMAL = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
@@ -229,21 +228,3 @@ def compare_bilinear(light_map: LightMap, receiver: Receiver, dx: float, dy: flo
         compare_texel(light_map, receiver, column, row + 1), compare_texel(light_map, receiver, column + 1, row + 1), fx
     )
     return wp.lerp(upper, lower, fy)
-
-
-@wp.kernel
-def tag_moving(
-    first: int,
-    triangle: wp.array2d(dtype=int),
-    triangle_mesh: wp.array(dtype=int),
-    mesh_flags: wp.array(dtype=int),
-    layer: int,
-    depth_out: wp.array3d(dtype=float),
-):
-    """Negates the depth of texels whose caster moves (Scherzer et al. 2009, section 3.4)."""
-    row, x = wp.tid()
-    y = first + row
-    t = triangle[y, x]
-    if t >= 0:
-        if (mesh_flags[triangle_mesh[t]] & MOVES) != 0:
-            depth_out[layer, y, x] = -depth_out[layer, y, x]

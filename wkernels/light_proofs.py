@@ -155,7 +155,7 @@ def proves_lit(casters: wp.uint64, origin_ws: wp.vec3, normal_ws: wp.vec3, hull:
 
 @wp.func
 def face_blocks(casters: wp.uint64, face: int, origin_ws: wp.vec3, way: wp.vec3, limit: float):
-    """Whether a segment of direction ``way`` crosses the open triangle, from either side, before parameter ``limit``."""
+    """Whether a segment along ``way`` crosses the open triangle, from either side, before parameter ``limit``."""
     a = wp.mesh_eval_position(casters, face, 1.0, 0.0) - origin_ws
     b = wp.mesh_eval_position(casters, face, 0.0, 1.0) - origin_ws
     c = wp.mesh_eval_position(casters, face, 0.0, 0.0) - origin_ws

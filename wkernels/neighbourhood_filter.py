@@ -5,11 +5,47 @@ Source: Scherzer et al. 2009, section 3.3; Schwaerzler 2009, section 5.2.3.
 
 from __future__ import annotations
 
+import numpy as np
 import warp as wp
 
+from wkernels.disc_sets import poisson_disc_taps
+from wkernels.errors import InputError
+from wkernels.frame import Session
 from wkernels.gbuffer import GBuffer
 from wkernels.geometry import RECEIVES
 from wkernels.views import View
+
+
+def opposite_taps(count: int) -> np.ndarray:
+    """Taps in pairs at opposite offsets: half of them a Poisson disc, the other half its mirror image.
+
+    A range of depths cuts the neighbourhood on slanted ground down to a band. Of opposite taps both survive or
+    neither, so that the mean stays where it is; a set that is not symmetric, such as the published one, shifts the
+    edges of shadows.
+
+    Args:
+        count: Taps, an even number from 2 on.
+
+    Returns:
+        float64 (count, 2).
+
+    Raises:
+        InputError: The number is odd or too small.
+    """
+    if count < 2 or count % 2:
+        raise InputError(f"a filter of opposite taps needs an even number of them, not {count}")
+    half = poisson_disc_taps(count // 2)
+    return np.concatenate([half, -half])
+
+
+def pull_opposite_taps(frame: Session, count: int) -> wp.array:
+    """``opposite_taps`` as a product of the frame, vec2 (count,)."""
+
+    def build(old: wp.array | None) -> wp.array:
+        return old or wp.array(opposite_taps(count).astype(np.float32), dtype=wp.vec2, device=frame.device)
+
+    taps: wp.array = frame.product("filter taps", ("opposite taps", count), (), build)
+    return taps
 
 
 @wp.func
@@ -37,7 +73,7 @@ def filter_neighbourhood(
         gbuffer: Receivers, (H, W).
         psi: Hidden share of the light, (H, W), 0 to 1.
         half_width_px: Half the filter's width in pixels; less than 1/2 for none.
-        taps: Offsets in [-1, 1]^2.
+        taps: Offsets in the unit disc, vec2 (n,), ``pull_opposite_taps``.
         depth_range: Largest difference of linear eye depth, share of the pixel's own.
         visibility_out: 1 - psi, smoothed; 1 where nothing receives.
     """

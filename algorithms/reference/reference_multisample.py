@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from algorithms.technique import Limit, Params, Technique, setting
+from algorithms.technique import Limit, Technique, setting
+from algorithms.technique import Params as BaseParams
 from wkernels.frame import Session as Frame
 from wkernels.rays import binomial_standard_error, trace_light
 
@@ -28,7 +29,7 @@ class ReferenceMultisample(Technique):
     bias_sign = "none"
     limits = (Limit(equals="ray_cast_point_shadow", params={"samples": 4}, light_scale=0.0),)
 
-    class Params(Params):
+    class Params(BaseParams):
         """How many points of the light, and which."""
 
         samples: int = setting(256, "points on the light", unit="rays per pixel", source="Scherzer 2009, sec. 1", ge=1, le=10**6)

@@ -18,6 +18,8 @@ Deviations, where the paper is silent or wrong:
   plane, and only texels that pass are interpolated: no surface is mixed with another. ``history: nearest`` reads one
   texel, but history then sticks to the screen under an eye that moves by less than half a pixel a frame.
 - Equation 6 maps a length to the near plane only; here it is pixels, pw H / (2 depth tan(fov / 2)).
+- The Poisson disc of the neighbourhood filter is made of opposite taps, so that its depth range shifts no edge on
+  slanted ground; the range itself is that of Schwaerzler 2009.
 - Equation 7 counts frames, but only frames with a blocker add to its sum: shadowed samples are counted.
 - n stops at 2048 in the published float16 buffer while rho goes on: ``buffer: float16`` halves both at 1024 (float32
   at 2^22).
@@ -54,7 +56,7 @@ from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer
 from wkernels.geometry import RECEIVES
 from wkernels.light_map import Bias, LightMap, Receiver, locate, receiver_depth_at, stored_depth
-from wkernels.neighbourhood_filter import filter_neighbourhood, pixels_per_length
+from wkernels.neighbourhood_filter import filter_neighbourhood, pixels_per_length, pull_opposite_taps
 from wkernels.shadow_buffer import (
     BILINEAR,
     NEAREST,
@@ -253,7 +255,15 @@ class TcSoftPaper(Technique):
             16, "taps of the start's filter, a square number", unit="taps", source="sec. 4", ge=1, le=4096
         )
         filter: bool = setting(True, "smooth what is shown while its error is large", unit="yes/no", source="sec. 3.3")
-        taps: int = setting(16, "taps of that neighbourhood filter", unit="taps", source="sec. 4", ge=1, le=4096)
+        taps: int = setting(
+            16,
+            "taps of that neighbourhood filter, in pairs",
+            unit="taps",
+            source="sec. 4",
+            ge=2,
+            le=4096,
+            multiple_of=2,
+        )
         error_threshold: float = setting(
             0.02, "t: standard error down to which pixels are smoothed", unit="1", source="sec. 4", ge=0.0, le=1.0
         )
@@ -319,7 +329,7 @@ class TcSoftPaper(Technique):
 
         # 3: smoothed where that is still uncertain
         with frame.timed("neighbourhood filter"):
-            inputs = [gbuffer, psi, half_width, pull_taps(frame, "poisson", p.taps), p.filter_depth_range]
+            inputs = [gbuffer, psi, half_width, pull_opposite_taps(frame, p.taps), p.filter_depth_range]
             frame.launch(filter_neighbourhood, shape, inputs, [visibility])
         return visibility
 

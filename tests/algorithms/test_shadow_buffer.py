@@ -9,11 +9,13 @@ import pytest
 import warp as wp
 from compare import assert_twin
 
+from wkernels.disc_sets import PUBLISHED_POISSON_16
+from wkernels.errors import InputError
 from wkernels.estimators import FLOAT16_LIMIT, add_test, hidden_share, share_variance, standard_error
 from wkernels.gbuffer import GBuffer, allocate_gbuffer
 from wkernels.geometry import RECEIVES
 from wkernels.launch import launch
-from wkernels.neighbourhood_filter import filter_neighbourhood, pixels_per_length
+from wkernels.neighbourhood_filter import filter_neighbourhood, opposite_taps, pixels_per_length
 from wkernels.shadow_buffer import (
     BILINEAR,
     NEAREST,
@@ -301,6 +303,40 @@ def test_neighbourhood_filter_equals_its_twin(device: str) -> None:
         smoothed += len(values) > 4
     assert smoothed > 100
     assert_twin(out.numpy(), expected, atol=1e-6)
+
+
+def smooth_slanted_ground(taps: np.ndarray, device: str) -> tuple[np.ndarray, np.ndarray]:
+    """Psi that rises linearly down a slanted plane, before and after a filter whose depth range cuts it to a few rows."""
+    shape = (60, 40)
+    row = np.repeat(np.arange(60.0)[:, None], 40, axis=1)
+    psi, depth = (row / 59.0).astype(np.float32), (10.0 - 0.05 * row).astype(np.float32)
+    gbuffer: GBuffer = allocate_gbuffer(shape[1], shape[0], device)
+    gbuffer.depth.assign(depth)
+    gbuffer.flags.fill_(int(RECEIVES))
+    out = wp.empty(shape, dtype=float, device=device)
+    inputs: list[Any] = [gbuffer, wp.array(psi, device=device), wp.full(shape, 9.3, dtype=float, device=device)]
+    inputs += [wp.array(taps, dtype=wp.vec2, device=device), 0.02]
+    launch(filter_neighbourhood, shape, inputs, [out], device=device)
+    middle = np.s_[15:-15, 15:-15]
+    return psi[middle], 1.0 - out.numpy()[middle]
+
+
+def test_opposite_taps_shift_no_edge_on_slanted_ground(device: str) -> None:
+    before, after = smooth_slanted_ground(opposite_taps(16), device)
+    assert_twin(after, before, atol=2e-6)
+    before, after = smooth_slanted_ground(PUBLISHED_POISSON_16, device)
+    assert np.abs(after - before).mean() > 0.5 / 59.0, "a set without symmetry must shift by at least half a row"
+
+
+def test_opposite_taps_are_a_symmetric_disc() -> None:
+    for count in (2, 16, 24):
+        taps = opposite_taps(count)
+        assert taps.shape == (count, 2) and len(np.unique(taps, axis=0)) == (count if count > 2 else 1)
+        np.testing.assert_array_equal(taps[: count // 2], -taps[count // 2 :])
+        assert np.linalg.norm(taps, axis=1).max() <= 1.0
+    for count in (0, 7, -2):
+        with pytest.raises(InputError, match="even number"):
+            opposite_taps(count)
 
 
 @wp.kernel

@@ -1,4 +1,5 @@
-"""tc_soft_paper: its limits, convergence, start, filter, movers and cameras (Scherzer et al. 2009, sections 3 and 4)."""
+"""tc_soft_paper: its limits, convergence, start, filter, movers and cameras (Scherzer et al. 2009, sections 3 and
+4)."""
 
 from __future__ import annotations
 
@@ -336,6 +337,7 @@ def test_every_light_with_an_area_converges(lamp: Light, device: str) -> None:
     [
         ({"blocker_taps": 10}, "take 9 or 16"),
         ({"filter_taps": 0}, "filter_taps"),
+        ({"taps": 7}, "multiple of 2"),
         ({"start": "pcs"}, "pcss"),
         ({"buffer": "float8"}, "float16"),
         ({"error_threshold": -0.1}, "error_threshold"),

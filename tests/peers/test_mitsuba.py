@@ -32,8 +32,8 @@ SIGNIFICANCE = 0.01
 @pytest.fixture(scope="module")
 def mi() -> Any:
     mitsuba = pytest.importorskip("mitsuba")
-    mitsuba.set_variant("llvm_ad_mono")
     try:
+        mitsuba.set_variant("llvm_ad_mono")
         mitsuba.Float([1.0, 2.0]).numpy()
     except Exception as error:
         pytest.skip(f"Mitsuba's vectorised variant needs an LLVM library: {error}")

@@ -1,0 +1,111 @@
+"""The lane rasteriser against its plain twin: the same pixels, the same triangles, depths to rounding."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+from drawing import draw
+
+from wkernels.raster import CULL_BACK, CULL_FRONT, CULL_NONE, Rasteriser
+from wkernels.raster.lanes import ORTHOGRAPHIC, PERSPECTIVE, projection_kind
+from wkernels.views import HostView, View
+
+FORWARD, RIGHT, UP = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+
+
+def view_of(perspective: bool, width: int, height: int, near: float = 0.5, far: float = 60.0) -> HostView:
+    half = 1.0 if perspective else 12.0
+    tall = half * height / width
+    return HostView(np.zeros(3), RIGHT, UP, FORWARD, (-half, half, -tall, tall), near, far, width, height, perspective)
+
+
+def triangle_soup(rng: np.random.Generator, count: int, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles of about ``size`` all around the eye, many across the near plane or far outside of the view."""
+    middle = rng.uniform((-20, -20, -70), (20, 20, 5), (count, 1, 3))
+    return (middle + rng.normal(0.0, size, (count, 3, 3))).reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)
+
+
+def both(points: np.ndarray, faces: np.ndarray, view: HostView, cull: int = CULL_NONE) -> list[tuple[np.ndarray, np.ndarray]]:
+    paths = ("lanes", "tiles")
+    return [draw(points, faces, view, "cpu", cull=cull, rasteriser=Rasteriser("cpu", 2, path)) for path in paths]
+
+
+def assert_same_image(lanes: tuple[np.ndarray, np.ndarray], tiles: tuple[np.ndarray, np.ndarray]) -> None:
+    np.testing.assert_array_equal(np.isfinite(lanes[0]), np.isfinite(tiles[0]))
+    seen = np.isfinite(tiles[0])
+    assert seen.any() or seen.size < 20  # a pixel or two may see nothing
+    np.testing.assert_allclose(lanes[0][seen], tiles[0][seen], rtol=3e-6)
+    # where two triangles are equally deep to rounding either may win
+    differs = lanes[1] != tiles[1]
+    assert differs.mean() <= 2e-4
+    np.testing.assert_array_equal((lanes[1] >= 0), seen)
+
+
+@pytest.mark.parametrize("perspective", [True, False])
+@pytest.mark.parametrize("size", [0.05, 0.5, 4.0, 60.0])
+@pytest.mark.parametrize("shape", [(200, 150), (517, 131), (5, 3), (1, 1)])
+def test_it_draws_what_the_plain_twin_draws(perspective: bool, size: float, shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(int(size * 100) + shape[0])
+    points, faces = triangle_soup(rng, 60 if size > 10 else 3000, size)
+    lanes, tiles = both(points, faces, view_of(perspective, *shape))
+    assert_same_image(lanes, tiles)
+
+
+@pytest.mark.parametrize("cull", [CULL_BACK, CULL_FRONT])
+@pytest.mark.parametrize("size", [0.5, 30.0])
+def test_culling_is_the_twins(cull: int, size: float) -> None:
+    points, faces = triangle_soup(np.random.default_rng(3), 400, size)
+    view = view_of(True, 240, 160)
+    lanes, tiles = both(points, faces, view, cull)
+    assert_same_image(lanes, tiles)
+    assert (lanes[1] != both(points, faces, view)[0][1]).any()
+
+
+def test_same_bits_for_any_number_of_threads() -> None:
+    points, faces = triangle_soup(np.random.default_rng(5), 2000, 2.0)
+    images = [draw(points, faces, view_of(True, 333, 257), "cpu", threads=threads) for threads in (1, 2, 3)]
+    for depth, triangle in images[1:]:
+        np.testing.assert_array_equal(depth, images[0][0])
+        np.testing.assert_array_equal(triangle, images[0][1])
+
+
+def test_a_rasteriser_can_be_used_again_for_another_mesh_and_size() -> None:
+    """Its scratch holds the last mesh's corners and grows behind them when triangles are clipped."""
+    rng = np.random.default_rng(8)
+    rasteriser = Rasteriser("cpu", 2)
+    for count, size, shape in ((50, 1.0, (64, 64)), (3000, 9.0, (300, 200)), (10, 40.0, (128, 16)), (3000, 0.3, (300, 200))):
+        points, faces = triangle_soup(rng, count, size)
+        view = view_of(True, *shape)
+        again = draw(points, faces, view, "cpu", rasteriser=rasteriser)
+        fresh = draw(points, faces, view, "cpu", rasteriser=Rasteriser("cpu", 2))
+        np.testing.assert_array_equal(again[0], fresh[0])
+        np.testing.assert_array_equal(again[1], fresh[1])
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.45])
+@pytest.mark.parametrize("cells", [39, 199, 699])
+def test_jittered_grids_have_no_crack(cells: int, jitter: float) -> None:
+    """3 000, 79 000 and 977 000 triangles over the whole screen, without a single uncovered pixel."""
+    rng = np.random.default_rng(cells)
+    line = np.linspace(-13.0, 13.0, cells + 1)
+    x, y = np.meshgrid(line, line)
+    step = 26.0 / cells
+    points = np.stack([x, y, np.full_like(x, -10.0)], axis=-1)
+    points[..., :2] += rng.uniform(-jitter, jitter, (cells + 1, cells + 1, 2)) * step
+    index = np.arange((cells + 1) ** 2).reshape(cells + 1, cells + 1)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    view = view_of(False, 1024, 1024)
+    depth, triangle = draw(points.reshape(-1, 3), faces, view, "cpu")
+    assert np.isfinite(depth).all() and (triangle >= 0).all()
+
+
+def test_a_warped_view_is_left_to_the_plain_path() -> None:
+    kind = [projection_kind(view_of(perspective, 8, 8).to_device()) for perspective in (True, False)]
+    assert kind == [PERSPECTIVE, ORTHOGRAPHIC]
+    warped = View()
+    rows = view_of(True, 8, 8).ws_to_ss
+    rows[3] += (0.1, 0.0, 0.0, 0.0)
+    warped.ws_to_ss = wp.mat44(*rows.astype(np.float32).ravel())
+    assert projection_kind(warped) is None
