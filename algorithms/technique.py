@@ -11,8 +11,8 @@ import warp as wp
 from pydantic import BaseModel, ConfigDict, Field
 
 from wkernels.frame import Session as Frame
-from wkernels.raster import CULL_FRONT, CULL_NONE
 from wkernels.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL, BIAS_SLOPE, Bias
+from wkernels.raster import CULL_FRONT, CULL_NONE
 
 ALL_LIGHTS = frozenset({"point", "directional", "rectangle", "disc", "sphere", "linear", "polygon"})
 
@@ -84,7 +84,9 @@ class MapParams(Params):
     """Parameters of every technique that reads a light depth map."""
 
     resolution: int = setting(1024, "map texels per side", unit="texels", source="Scherzer 2009, sec. 4", ge=1, le=8192)
-    bias: BiasKind = setting("slope", "what keeps a surface from shadowing itself", unit="kind", source="Stingl 2011, sec. 2.2.1")
+    bias: BiasKind = setting(
+        "slope", "what keeps a surface from shadowing itself", unit="kind", source="Stingl 2011, sec. 2.2.1"
+    )
     bias_constant: float = setting(
         1.0, "constant bias (constant) or offset along the normal (normal)", unit="texel footprints", ge=0.0, le=1000.0
     )

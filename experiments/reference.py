@@ -204,9 +204,16 @@ def _source_digest(files: tuple[Path, ...]) -> str:
     return digest.hexdigest()
 
 
-def _code_version(technique: Technique) -> str:
+def tracing_files() -> list[Path]:
+    """The files of ``TRACING_MODULES``, those of a package one by one."""
     folder = Path(wkernels.__file__).parent
-    files = (*(folder / f"{name}.py" for name in TRACING_MODULES), file_of(type(technique)))
+    return [
+        path for name in TRACING_MODULES for path in sorted([*folder.glob(f"{name}.py"), *folder.glob(f"{name}/*.py")])
+    ]
+
+
+def _code_version(technique: Technique) -> str:
+    files = (*tracing_files(), file_of(type(technique)))
     return f"{wp.config.version} {_source_digest(files)}"
 
 

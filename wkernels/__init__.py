@@ -8,7 +8,8 @@ import ctypes as _ctypes
 import os as _os
 import sys as _sys
 
-# OpenBLAS keeps its threads spinning after a matrix product, which halves the speed of our own kernels on small machines.
+# OpenBLAS keeps its threads spinning after a matrix product, which halves the speed of our own kernels on small
+# machines.
 if "numpy" not in _sys.modules:
     _os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -17,7 +18,6 @@ import warp as _wp
 _wp.config.enable_backward = False  # nothing here is differentiated; adjoint code would triple the compile time
 _wp.config.max_unroll = 4
 _wp.config.log_level = _wp.LOG_WARNING
-
 
 
 def _initialise_quietly() -> None:

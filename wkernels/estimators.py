@@ -34,7 +34,7 @@ def share_variance(psi: float, n: float) -> float:
     """
     result = float(1.0)
     if n > 1.5:
-        result = psi * (1.0 - psi) / (n - 1.0)
+        result = wp.max(psi * (1.0 - psi), 0.0) / (n - 1.0)
     return result
 
 

@@ -1,8 +1,8 @@
-"""One technique's way through the frames of a walkthrough: products built on request, history, timing, what is left out.
+"""One technique's way through a walkthrough: products built on request, history, timing, what is left out.
 
-A technique's ``render`` gets the session and *pulls* what it needs: the G-buffer, light depth maps, the casters' ray structure,
-light samples, history buffers. A product is built on first request, timed under its own name, and kept until one of its
-inputs (geometry, camera, light sample) changes. What nobody asks for is never built.
+A technique's ``render`` gets the session and *pulls* what it needs: the G-buffer, light depth maps, the casters' ray
+structure, light samples, history buffers. A product is built on first request, timed under its own name, and kept until
+one of its inputs (geometry, camera, light sample) changes. What nobody asks for is never built.
 """
 
 from __future__ import annotations
@@ -132,7 +132,8 @@ class Session:
         self._camera: Any = None
         self.begin(0)
 
-    # ---- frame by frame -------------------------------------------------------------------------------------------------
+    # ---- frame by frame
+    # -------------------------------------------------------------------------------------------------
 
     def begin(self, frame_index: int) -> None:
         """Moves camera and geometry to a frame. Again with the same index it forgets what was built for that frame."""
@@ -185,7 +186,8 @@ class Session:
         self.count = 0
         self._visit += 1
 
-    # ---- what a technique asks for --------------------------------------------------------------------------------------
+    # ---- what a technique asks for
+    # --------------------------------------------------------------------------------------
 
     def timed(self, name: str) -> AbstractContextManager[None]:
         """Charges the block to the pass ``name``."""
@@ -196,7 +198,7 @@ class Session:
         launch(kernel, dim, inputs, outputs, device=self.device, threads=self.threads)
 
     def leave_out(self, what: str, reason: str, count: int = 1) -> bool:
-        """Records that ``what`` is not needed here and returns True; returns False, and records nothing, with skips off."""
+        """Records that ``what`` is not needed here and returns True; False, unrecorded, with skips off."""
         if self.skips:
             key = (what, reason)
             self.left_out[key] = self.left_out.get(key, 0) + count
@@ -337,7 +339,9 @@ class Session:
         views = self.projection(sample, receivers, casters, resolution, self.eye())
         if light_ws is None or self.light_views is None:
             self.light_views = (views, sample)
-        held_bytes = sum(p.value.depth.size * 4 for k, p in self._products.items() if isinstance(k, tuple) and k[0] == "map")
+        held_bytes = sum(
+            p.value.depth.size * 4 for k, p in self._products.items() if isinstance(k, tuple) and k[0] == "map"
+        )
         key: Hashable = ("map", slot, resolution, cull, tag_moving_casters)
         if key not in self._products and held_bytes + 4 * resolution**2 * len(views) > MAP_BUDGET_BYTES:
             key = ("map", "shared", resolution, cull, tag_moving_casters)
@@ -362,7 +366,9 @@ class Session:
         return out
 
 
-def _fit_scene(sample: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int, eye: HostView) -> list[HostView]:
+def _fit_scene(
+    sample: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int, eye: HostView
+) -> list[HostView]:
     return scene_views(sample, receivers, casters, resolution)
 
 

@@ -36,8 +36,8 @@ def resolve_surface(
 ):
     """Turns the rasterised triangle of a pixel into exact surface data.
 
-    The position is where the ray of the pixel centre meets the triangle's plane, not the interpolated depth: it carries no
-    snapping and no accumulated rounding, so that a ray cast from it starts on its own triangle.
+    The position is where the ray of the pixel centre meets the triangle's plane, not the interpolated depth: it carries
+    no snapping and no accumulated rounding, so that a ray cast from it starts on its own triangle.
     """
     row, x = wp.tid()
     y = first + row

@@ -63,8 +63,8 @@ class Bounds:
 class Geometry:
     """All meshes of a scene in one set of arrays, casting meshes first.
 
-    World positions are stored minus ``origin_ws`` (float64, about the middle of the scene), so that world offsets of 1e6
-    cost nothing; ``_ws`` on the device means this rebased world.
+    World positions are stored minus ``origin_ws`` (float64, about the middle of the scene), so that world offsets of
+    1e6 cost nothing; ``_ws`` on the device means this rebased world.
 
     Attributes:
         points_ws: vec3, shape (V,).
@@ -93,7 +93,7 @@ class Geometry:
         self._boxes = [_box(vertices) for vertices in placed]
         sizes = [len(mesh.faces) for mesh in self.meshes]
         starts = np.cumsum([0] + [len(mesh.vertices) for mesh in self.meshes])
-        self._ranges = [slice(a, b) for a, b in zip(starts[:-1], starts[1:], strict=True)]
+        self._ranges = [slice(a, b) for a, b in itertools.pairwise(starts)]
         faces = [mesh.faces + start for mesh, start in zip(self.meshes, starts[:-1], strict=True)]
         flags = [CASTS * mesh.casts + RECEIVES * mesh.receives + MOVES * mesh.moving for mesh in self.meshes]
         diffuse = np.array([mesh.diffuse for mesh in self.meshes], dtype=np.float32).reshape(-1, 3)
@@ -126,7 +126,7 @@ class Geometry:
             if not mesh.moving:
                 continue
             pose = mesh.object_to_ws(frame)
-            if np.array_equal(pose, self._poses.get(i)):
+            if i in self._poses and np.array_equal(pose, self._poses[i]):
                 continue  # a mover that pauses leaves every map as it was
             self._poses[i] = pose
             vertices = _place(mesh, frame) - self.origin_ws

@@ -1,9 +1,9 @@
 """Launches: one kernel spread in tiles over CPU threads, or one plain launch on CUDA.
 
-Warp runs a CPU launch on the calling thread and releases the GIL while it does, so threads that each launch a part of the
-grid scale almost linearly. Every kernel of this project takes ``first: int`` as its first argument, the offset of its tile
-along the first launch axis, and must write only what its own grid cells own: then the result cannot depend on the number
-of threads.
+Warp runs a CPU launch on the calling thread and releases the GIL while it does, so threads that each launch a part of
+the grid scale almost linearly. Every kernel of this project takes ``first: int`` as its first argument, the offset of
+its tile along the first launch axis, and must write only what its own grid cells own: then the result cannot depend on
+the number of threads.
 """
 
 from __future__ import annotations
@@ -42,7 +42,9 @@ class _Team:
         while len(self._inboxes) < workers:
             inbox: SimpleQueue = SimpleQueue()
             self._inboxes.append(inbox)
-            threading.Thread(target=self._work, args=(inbox,), daemon=True, name=f"wkernels-{len(self._inboxes)}").start()
+            threading.Thread(
+                target=self._work, args=(inbox,), daemon=True, name=f"wkernels-{len(self._inboxes)}"
+            ).start()
 
     def _work(self, inbox: SimpleQueue) -> None:
         while True:
@@ -115,7 +117,8 @@ def launch(
     workers = min(threads, -(-rows // tile))
     # recorded here, one for each worker: recording refreshes the arguments' C structs in place, which must not race
     commands = [
-        wp.launch(kernel, dim=(tile, *shape[1:]), inputs=arguments, device="cpu", record_cmd=True) for _ in range(workers)
+        wp.launch(kernel, dim=(tile, *shape[1:]), inputs=arguments, device="cpu", record_cmd=True)
+        for _ in range(workers)
     ]
     ticket = itertools.count()
 

@@ -1,14 +1,13 @@
 """Light depth maps and the questions that techniques ask of them.
 
-A map has one or more square layers (six for an omnidirectional point light), each with linear depth from the light in scene
-units and a world-to-light matrix of the same form as a view's (``views.py``). Positions in a map are in texels, row 0 at the
-top, texel centres at half-integers.
+A map has one or more square layers (six for an omnidirectional point light), each with linear depth from the light in
+scene units and a world-to-light matrix of the same form as a view's (``views.py``). Positions in a map are in texels,
+row 0 at the top, texel centres at half-integers.
 """
 
 from __future__ import annotations
 
 import warp as wp
-
 
 BIAS_KINDS = ("none", "constant", "slope", "back_face", "slope_back_face", "normal")
 BIAS_NONE, BIAS_CONSTANT, BIAS_SLOPE, BIAS_NORMAL = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
@@ -105,8 +104,9 @@ def texels_per_length(light_map: LightMap, layer: int, position_ws: wp.vec3):
 def plane_of_receiver(light_map: LightMap, layer: int, position_ws: wp.vec3, normal_ws: wp.vec3):
     """The receiver's plane as depth over texel offsets: rows (depth / w) and (1 / w) as affine functions of the offset.
 
-    On a plane p + s e1 + t e2 the light-space (x, y, w) are linear in (s, t, 1), so 1/w and depth/w are affine in screen
-    position under *any* projection, warped ones included. A plane seen edge-on from the light yields a constant depth.
+    On a plane p + s e1 + t e2 the light-space (x, y, w) are linear in (s, t, 1), so 1/w and depth/w are affine in
+    screen position under *any* projection, warped ones included. A plane seen edge-on from the light yields a constant
+    depth.
     """
     helper = wp.vec3(1.0, 0.0, 0.0)
     if wp.abs(normal_ws[0]) > 0.6:
@@ -127,7 +127,8 @@ def plane_of_receiver(light_map: LightMap, layer: int, position_ws: wp.vec3, nor
     depth_row = wp.vec3(0.0, 0.0, h[2])
     scale_row = wp.vec3(0.0, 0.0, 1.0)
     if wp.abs(det) > 1.0e-5 * size:
-        # With S = s/w and T = t/w the ndc offset is S d1 + T d2, so S and T are linear in the offset o [texels, rows down]
+        # With S = s/w and T = t/w the ndc offset is S d1 + T d2, so S and T are linear in the offset o [texels, rows
+        # down]
         step = 2.0 / (float(light_map.resolution) * det)
         s_o = wp.vec2(d2[1], d2[0]) * step
         t_o = wp.vec2(-d1[1], -d1[0]) * step
@@ -142,10 +143,11 @@ def plane_of_receiver(light_map: LightMap, layer: int, position_ws: wp.vec3, nor
 def locate_receiver(light_map: LightMap, bias: Bias, position_ws: wp.vec3, normal_ws: wp.vec3):
     """Finds a receiver point in a map and prepares its comparisons.
 
-    Bias (Schwaerzler 2009, section 2.3.1; Stingl 2011, section 2.2.1). One texel on a plane spans a depth of half its size times
-    the plane's slope to either side, so ``slope`` subtracts ``bias.slope`` times (|dz/dx| + |dz/dy|) / 2 [per texel];
-    ``constant`` subtracts ``bias.constant`` texel footprints; ``normal`` moves the point that many footprints along its normal.
-    Taps off the point are compared with the receiver's plane where the bias knows it (``slope``), else with the point's depth.
+    Bias (Schwaerzler 2009, section 2.3.1; Stingl 2011, section 2.2.1). One texel on a plane spans a depth of half its
+    size times the plane's slope to either side, so ``slope`` subtracts ``bias.slope`` times (|dz/dx| + |dz/dy|) / 2
+    [per texel]; ``constant`` subtracts ``bias.constant`` texel footprints; ``normal`` moves the point that many
+    footprints along its normal. Taps off the point are compared with the receiver's plane where the bias knows it
+    (``slope``), else with the point's depth.
     """
     result = Receiver()
     here = locate(light_map, position_ws)

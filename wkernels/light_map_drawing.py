@@ -59,17 +59,17 @@ def draw_light_map(
         return wp.array(values, dtype=wp.vec3, device=device)
 
     out = LightMap()
-    reusable = old is not None and old.layers == layers
-    out.depth = old.depth if reusable else wp.empty((layers, resolution, resolution), dtype=float, device=device)
+    if old is not None and old.layers == layers:
+        out.depth = old.depth
+    else:
+        out.depth = wp.empty((layers, resolution, resolution), dtype=float, device=device)
     matrices = np.stack([view.ws_to_ss for view in views]).astype(np.float32)
     out.ws_to_ls = wp.array(matrices, dtype=wp.mat44, device=device)
     out.right_ws, out.up_ws = axes("right_ws"), axes("up_ws")
     out.layers, out.resolution = layers, resolution
     out.light_ws, out.near = wp.vec4(*light_ws), views[0].near
     for layer, view in enumerate(views):
-        rasteriser.draw(
-            geometry.points_ws, geometry.caster_indices, view.to_device(), out.depth[layer], triangle, cull
-        )
+        rasteriser.draw(geometry.points_ws, geometry.caster_indices, view.to_device(), out.depth[layer], triangle, cull)
         if triangle is not None:
             inputs = [triangle, geometry.triangle_mesh, geometry.mesh_flags, layer]
             launch(tag_moving, triangle.shape, inputs, [out.depth], device=device, threads=rasteriser.threads)

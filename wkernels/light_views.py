@@ -23,8 +23,8 @@ def scene_views(light_ws: np.ndarray, receivers: Bounds, casters: Bounds, resolu
         resolution: Texels per side.
 
     Returns:
-        One orthographic view for a direction, one perspective view for a point that sees the box within a moderate angle,
-        else six faces of a cube.
+        One orthographic view for a direction, one perspective view for a point that sees the box within a moderate
+        angle, else six faces of a cube.
     """
     if light_ws[3] == 0.0:
         return [_directional_view(light_ws[:3], receivers, casters, resolution)]
@@ -125,9 +125,9 @@ def perspective_aliasing(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Perspective aliasing error along the view vector, from the Jacobian of the map in use.
 
-    ``m`` is the length of a map texel over the length of a pixel, both in the world at the same point: above 1 the map is
-    undersampled. ``x`` is across view and light direction, ``z`` the view direction within the plane across the light
-    (Stingl 2011, section 2.3.2, equations 2.3 and 2.4, which these values equal for overhead light).
+    ``m`` is the length of a map texel over the length of a pixel, both in the world at the same point: above 1 the map
+    is undersampled. ``x`` is across view and light direction, ``z`` the view direction within the plane across the
+    light (Stingl 2011, section 2.3.2, equations 2.3 and 2.4, which these values equal for overhead light).
 
     Returns:
         Depths z (steps,) from near to far, m_x and m_z (steps,); NaN where no map covers the point.

@@ -63,7 +63,7 @@ class Light:
 
     @property
     def size(self) -> float:
-        """L of the penumbra formulas: edge length or diameter in scene units; full angle [rad] if directional; 0 for a point."""
+        """L of the penumbra formulas: edge length or diameter in scene units, full angle [rad] if directional, or 0."""
         return 0.0
 
     @property
@@ -140,7 +140,10 @@ class DirectionalLight(Light):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RectangleLight(Light):
-    """A parallelogram ``center + a edge_u + b edge_v`` with a, b in [-1/2, 1/2]; ``texture`` (rows, cols) scales its radiance."""
+    """A parallelogram ``center + a edge_u + b edge_v``, a and b in [-1/2, 1/2].
+
+    ``texture`` (rows, cols) scales its radiance.
+    """
 
     center: np.ndarray
     edge_u: np.ndarray
@@ -284,7 +287,9 @@ class PolygonLight(Light):
         cumulative = np.cumsum(area) / area.sum()
         which = np.minimum(np.searchsorted(cumulative, u[:, 0], side="right"), len(area) - 1)
         below = np.concatenate([[0.0], cumulative])[which]
-        first = (u[:, 0] - below) / (area[which] / area.sum())  # the first coordinate is used twice, stratification survives
+        first = (u[:, 0] - below) / (
+            area[which] / area.sum()
+        )  # the first coordinate is used twice, stratification survives
         root = np.sqrt(first)[:, None]
         return _points(self.vertices[0] + root * (1.0 - u[:, 1:2]) * e1[which] + root * u[:, 1:2] * e2[which])
 
@@ -322,7 +327,7 @@ class PolygonLight(Light):
 
 
 def texture_weights(texture: np.ndarray | None, s: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Nearest-texel luminance of ``texture`` (rows, cols) at s, t in [0, 1), divided by its mean; ones without a texture."""
+    """Nearest-texel luminance of ``texture`` (rows, cols) at s, t in [0, 1), divided by its mean; ones without one."""
     if texture is None:
         return np.ones(len(s))
     rows, cols = texture.shape[:2]
@@ -332,7 +337,10 @@ def texture_weights(texture: np.ndarray | None, s: np.ndarray, t: np.ndarray) ->
 
 
 def _abel_radius(u: np.ndarray) -> np.ndarray:
-    """Inverts the radial distribution of density r^2/sqrt(1 - r^2): solves theta - sin(2 theta)/2 = pi u / 2, returns sin(theta)."""
+    """Inverts the radial distribution of density r^2/sqrt(1 - r^2).
+
+    Solves theta - sin(2 theta)/2 = pi u / 2 by Newton's method and returns sin(theta).
+    """
     theta = 0.5 * np.pi * np.cbrt(np.clip(u, 0.0, 1.0))
     for _ in range(8):
         slope = np.maximum(1.0 - np.cos(2.0 * theta), 1e-9)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from wkernels.estimators import standard_error
 from wkernels.gbuffer import GBuffer, is_back_lit
 from wkernels.geometry import RECEIVES
 from wkernels.light_map import to_light
@@ -136,8 +137,4 @@ def binomial_standard_error(
     """sqrt(psi (1 - psi) / (n - 1)); 1 where n = 1 says nothing (Scherzer et al. 2009, equation 3)."""
     row, x = wp.tid()
     y = first + row
-    v = visibility[y, x]
-    error = float(1.0)
-    if count > 1.5:
-        error = wp.sqrt(wp.max(v * (1.0 - v), 0.0) / (count - 1.0))
-    error_out[y, x] = error
+    error_out[y, x] = standard_error(visibility[y, x], count)  # psi (1 - psi) is the same for 1 - psi

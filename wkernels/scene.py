@@ -1,4 +1,4 @@
-"""Plain host data of a scene: what a scene file becomes and what a frame is rendered from. Nothing here touches a device."""
+"""Plain host data of a scene: what a scene file becomes and what a frame is rendered from, on no device yet."""
 
 from __future__ import annotations
 

@@ -7,8 +7,8 @@ import warp as wp
 
 from wkernels.gbuffer import GBuffer
 from wkernels.launch import launch
-from wkernels.lights import Light
 from wkernels.light_map import to_light
+from wkernels.lights import Light
 
 AMBIENT = 0.25  # share of the light's colour that reaches every surface
 SKY = wp.constant(wp.vec3(0.62, 0.72, 0.84))

@@ -1,8 +1,8 @@
 """Views: the eye's camera or a light's, as the matrices that kernels use.
 
-A view's matrix has the rows ``(x, y, d, w)``: screen position is ``(x/w, y/w)`` in [-1, 1], and ``d`` is the *linear* depth
-along the view axis in scene units, not divided by w. That one form covers perspective, orthographic and warped views; depth
-keeps its precision whatever near and far are.
+A view's matrix has the rows ``(x, y, d, w)``: screen position is ``(x/w, y/w)`` in [-1, 1], and ``d`` is the *linear*
+depth along the view axis in scene units, not divided by w. That one form covers perspective, orthographic and warped
+views; depth keeps its precision whatever near and far are.
 """
 
 from __future__ import annotations
@@ -110,7 +110,8 @@ def pixel_along_ws(view: View, x: float, y: float):
 def eye_view(camera, width: int, height: int, origin_ws: np.ndarray, margin: tuple[int, int] = (0, 0)) -> HostView:
     """The view of ``camera``, rebased by ``-origin_ws``, with ``margin`` extra pixels at each side (overscan).
 
-    The pixel pitch does not depend on the margin, so the middle of an overscanned view samples the same receiver points.
+    The pixel pitch does not depend on the margin, so the middle of an overscanned view samples the same receiver
+    points.
     """
     forward = np.asarray(camera.target, float) - np.asarray(camera.eye, float)
     forward /= np.linalg.norm(forward)

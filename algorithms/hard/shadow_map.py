@@ -1,14 +1,14 @@
 """Hard shadows from one depth map (Williams 1978; Segal et al. 1992), with every common bias.
 
-The scene is drawn once from the light into a map of linear depth; a receiver is in shadow where the texel it falls into holds
-something nearer to the light: shadow iff z > SM + b (Schwaerzler 2009, section 2.3.1; Stingl 2011, section 2.1). Points outside
-the map are lit. Soft lights are reduced to their centre.
+The scene is drawn once from the light into a map of linear depth; a receiver is in shadow where the texel it falls into
+holds something nearer to the light: shadow iff z > SM + b (Schwaerzler 2009, section 2.3.1; Stingl 2011, section 2.1).
+Points outside the map are lit. Soft lights are reduced to their centre.
 
-Deviations: depth is linear under every projection, so a constant bias means the same length everywhere; ``slope`` uses the
-exact gradient of the receiver's plane instead of screen-space differences.
-Known artefacts: perspective aliasing (jagged edges near the eye), projection aliasing where N.L is near 0, moire acne with
-``none``, a gap of b / tan(elevation) between caster and shadow with a large ``constant``, leaks through open and thin meshes
-with the back-face kinds.
+Deviations: depth is linear under every projection, so a constant bias means the same length everywhere; ``slope`` uses
+the exact gradient of the receiver's plane instead of screen-space differences.
+Known artefacts: perspective aliasing (jagged edges near the eye), projection aliasing where N.L is near 0, moire acne
+with ``none``, a gap between caster and shadow with a large ``constant`` (b / tan(elevation) for a vertical lift b,
+b cos(elevation) for b along the light), leaks through open and thin meshes with the back-face kinds.
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ from wkernels.light_map import Bias, LightMap, compare_nearest, locate_receiver,
 
 
 @wp.kernel
-def compare_depth(first: int, gbuffer: GBuffer, light_map: LightMap, bias: Bias, visibility_out: wp.array2d(dtype=float)):
+def compare_depth(
+    first: int, gbuffer: GBuffer, light_map: LightMap, bias: Bias, visibility_out: wp.array2d(dtype=float)
+):
     """One depth comparison per pixel."""
     row, x = wp.tid()
     y = first + row

@@ -1,8 +1,8 @@
 """Hard shadows by one ray per pixel: the exact answer that every hard method is scored against.
 
-A ray from the receiver to the light's centre (or along the light's direction) asks the casters' triangles whether any of them
-lies between (Schwaerzler 2009, section 2.2.3). There is no map and no bias; origins are lifted by their rounding error only.
-Soft lights are reduced to their centre.
+A ray from the receiver to the light's centre (or along the light's direction) asks the casters' triangles whether any
+of them lies between (Schwaerzler 2009, section 2.2.3). There is no map and no bias; origins are lifted by their
+rounding error only. Soft lights are reduced to their centre.
 
 Known artefacts: none of its own; facets of smooth bodies shadow each other at the terminator, as their triangles do.
 """

@@ -1,12 +1,14 @@
 """Soft shadows by rays to many points of the light: the ground truth of every soft method.
 
-The light is sampled N times with a low-discrepancy set; visibility is the radiance-weighted share of the samples that no caster
-hides (Heckbert and Herf 1997, by ray casting instead of maps; Schwaerzler 2009, section 4.1). Rays meet the triangles
-themselves: no map, no bias. The reported standard error sqrt(psi (1 - psi) / (N - 1)) (Scherzer et al. 2009, equation 3) is that
-of independent samples; with a low-discrepancy set the true error is 2 to 5 times smaller at smooth edges.
+The light is sampled N times with a low-discrepancy set; visibility is the radiance-weighted share of the samples that
+no caster hides (Heckbert and Herf 1997, by ray casting instead of maps; Schwaerzler 2009, section 4.1). Rays meet the
+triangles themselves: no map, no bias. The reported standard error sqrt(psi (1 - psi) / (N - 1)) (Scherzer et al. 2009,
+equation 3) is that of independent samples; with a low-discrepancy set the true error is 2 to 5 times smaller at smooth
+edges.
 
-Deviation: pixels that can be *proven* wholly lit (no caster touches the shaft to the light) or wholly dark (one triangle hides the
-light's convex hull, or the light is behind the surface) cast no further rays; the result is the same with the proofs off.
+Deviation: pixels that can be *proven* wholly lit (no caster touches the shaft to the light) or wholly dark (one
+triangle hides the light's convex hull, or the light is behind the surface) cast no further rays; the result is the same
+with the proofs off.
 Known artefacts: N samples give N + 1 levels.
 """
 
@@ -32,7 +34,9 @@ class ReferenceMultisample(Technique):
     class Params(BaseParams):
         """How many points of the light, and which."""
 
-        samples: int = setting(256, "points on the light", unit="rays per pixel", source="Scherzer 2009, sec. 1", ge=1, le=10**6)
+        samples: int = setting(
+            256, "points on the light", unit="rays per pixel", source="Scherzer 2009, sec. 1", ge=1, le=10**6
+        )
         sample_set: str = setting("halton", "point set: halton, r2, poisson_disc or random", unit="name")
 
     def render(self, frame: Frame) -> wp.array:

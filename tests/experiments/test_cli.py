@@ -68,10 +68,22 @@ def test_help_names_every_command(wkernels: Run) -> None:
     ("arguments", "expected"),
     [
         (["run", "absent.yaml"], "error: absent.yaml: no such file."),
-        (["run", "e.yaml", "--set", "image.width=0"], "error: --set image.width=0: image.width: must be at least 1, not 0."),
-        (["run", "e.yaml", "--set", "techniques=[shadowmap]"], "there is no technique 'shadowmap'. Did you mean 'shadow_map'?"),
-        (["run", "e.yaml", "--set", "techniques=[pcss]"], "'pcss' needs a light with an area; this point light has none"),
-        (["run", "e.yaml", "--set", "scene.camera.fov_deg=.nan"], "scene.camera.fov_deg: must be a finite number, not nan."),
+        (
+            ["run", "e.yaml", "--set", "image.width=0"],
+            "error: --set image.width=0: image.width: must be at least 1, not 0.",
+        ),
+        (
+            ["run", "e.yaml", "--set", "techniques=[shadowmap]"],
+            "there is no technique 'shadowmap'. Did you mean 'shadow_map'?",
+        ),
+        (
+            ["run", "e.yaml", "--set", "techniques=[pcss]"],
+            "'pcss' needs a light with an area; this point light has none",
+        ),
+        (
+            ["run", "e.yaml", "--set", "scene.camera.fov_deg=.nan"],
+            "scene.camera.fov_deg: must be a finite number, not nan.",
+        ),
         (["run", "e.yaml", "--set", "scene.meshes.1.size=[1, -1, 1]"], "scene.meshes.1.size.1: must be"),
         (["run", "e.yaml", "--set", "scene.meshes.0={file: absent.obj}"], "absent.obj"),
         (["run", "e.yaml", "--set", "frames=0"], "--set frames=0: frames: must be at least 1"),
@@ -82,11 +94,26 @@ def test_help_names_every_command(wkernels: Run) -> None:
         (["explain", "scene.yaml"], "error: scene.yaml:1: meshes: is not a known key."),
         (["report", "absent"], "error: absent"),
         (["render", "scene.yaml", "--technique", "shadowmap"], "technique 'shadowmap'. Did you mean 'shadow_map'?"),
-        (["render", "scene.yaml", "--technique", "shadow_map", "--out", "a.gif"], "error: --out a.gif: the name must end in"),
-        (["render", "scene.yaml", "--technique", "shadow_map", "--out", "x/a.exr"], "error: --out x/a.exr: there is no folder"),
-        (["render", "scene.yaml", "--technique", "shadow_map", "--param", "bias"], "error: --param bias: must have the form"),
-        (["render", "scene.yaml", "--technique", "shadow_map", "--param", "bios=none"], "bios: is not a known key. Did you mean 'bias'?"),
-        (["render", "scene.yaml", "--technique", "shadow_map", "--light", "1"], "light: the scene has 1 light(s); there is no light 1."),
+        (
+            ["render", "scene.yaml", "--technique", "shadow_map", "--out", "a.gif"],
+            "error: --out a.gif: the name must end in",
+        ),
+        (
+            ["render", "scene.yaml", "--technique", "shadow_map", "--out", "x/a.exr"],
+            "error: --out x/a.exr: there is no folder",
+        ),
+        (
+            ["render", "scene.yaml", "--technique", "shadow_map", "--param", "bias"],
+            "error: --param bias: must have the form",
+        ),
+        (
+            ["render", "scene.yaml", "--technique", "shadow_map", "--param", "bios=none"],
+            "bios: is not a known key. Did you mean 'bias'?",
+        ),
+        (
+            ["render", "scene.yaml", "--technique", "shadow_map", "--light", "1"],
+            "light: the scene has 1 light(s); there is no light 1.",
+        ),
         (["render", "absent.yaml", "--technique", "shadow_map"], "error: absent.yaml: no such file."),
         (["new-technique", "Not-a-name"], "error: 'Not-a-name' cannot be a technique's name"),
         (["new-technique", "class"], "error: 'class' cannot be a technique's name"),
@@ -102,7 +129,9 @@ def test_wrong_input_is_one_message_and_status_2(wkernels: Run, arguments: list[
     assert sum(line.startswith("error:") for line in err.splitlines()) == 1
 
 
-@pytest.mark.parametrize("arguments", [["run"], ["rnu", "e.yaml"], ["run", "e.yaml", "--threads", "0"], ["run", "e.yaml", "--oops"]])
+@pytest.mark.parametrize(
+    "arguments", [["run"], ["rnu", "e.yaml"], ["run", "e.yaml", "--threads", "0"], ["run", "e.yaml", "--oops"]]
+)
 def test_wrong_usage_is_status_2(wkernels: Run, arguments: list[str]) -> None:
     status, _, err = wkernels(*arguments)
     assert status == 2 and "Usage" in err and "Traceback" not in err
@@ -133,7 +162,9 @@ def test_an_interruption_is_status_130_and_says_how_to_go_on(wkernels: Run, monk
 
 def test_run_hands_its_options_to_the_runner(wkernels: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
-    monkeypatch.setattr("experiments.runner.run", lambda experiment, out, **options: calls.append((experiment, out, options)))
+    monkeypatch.setattr(
+        "experiments.runner.run", lambda experiment, out, **options: calls.append((experiment, out, options))
+    )
     status, out, _ = wkernels(
         "run", "e.yaml", "--out", "results", "--set", "seed=3", "--threads", "2", "--resume", "--no-skips"
     )  # fmt: skip
@@ -197,7 +228,9 @@ def test_new_technique_runs_as_it_stands(wkernels: Run) -> None:
     assert status == 0, err
     assert Path("my_own_test.py").name in out
     arguments = ["scene.yaml", "--width", "48", "--height", "32", "--param", "resolution=256"]
-    status, _, err = wkernels("render", *arguments, "--technique", "my_own_test", "--plugin", "my_own_test.py", "--out", "a.exr")
+    status, _, err = wkernels(
+        "render", *arguments, "--technique", "my_own_test", "--plugin", "my_own_test.py", "--out", "a.exr"
+    )
     assert status == 0, err
     wkernels("render", *arguments, "--technique", "shadow_map", "--out", "b.exr")
     np.testing.assert_array_equal(read_exr(Path("a.exr")), read_exr(Path("b.exr")))  # its declared limit

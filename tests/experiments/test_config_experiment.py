@@ -105,7 +105,10 @@ def test_frames(load: Load, text: str, frames: tuple[int, ...]) -> None:
 
 
 def test_sweeps_multiply_in_file_order(load: Load) -> None:
-    experiment = load(HEAD + "- soft: {label: s, search: 2, sweep: {taps: [1, 4]}}\n- sharp: {sweep: {resolution: [8, 16], bias: [0, 0.5]}}\n")
+    experiment = load(
+        HEAD
+        + "- soft: {label: s, search: 2, sweep: {taps: [1, 4]}}\n- sharp: {sweep: {resolution: [8, 16], bias: [0, 0.5]}}\n"
+    )
     assert labels(experiment) == [
         "s[taps=1]",
         "s[taps=4]",
@@ -128,7 +131,8 @@ def test_projection_of_a_run_changes_single_keys(load: Load) -> None:
 
 def test_the_resolved_file_gives_the_same_experiment(load: Load) -> None:
     first = load(
-        HEAD + "- sharp: {sweep: {bias: [0, 2]}}\n- soft\nreference: {samples: 4, every: 2}\nframes: {start: 1, stop: 6, step: 2}\n"
+        HEAD
+        + "- sharp: {sweep: {bias: [0, 2]}}\n- soft\nreference: {samples: 4, every: 2}\nframes: {start: 1, stop: 6, step: 2}\n"
         "baseline: soft\nprojection: {lambda: 0.25}\n",
         "seed=7",
     )
@@ -188,7 +192,11 @@ def test_a_mistake_is_named_with_file_line_and_key(load: Load, text: str, expect
     ("old", "new", "expected"),
     [
         ("walkthrough", "sweep", "e.yaml:1: kind: kind 'sweep' is not available yet; available: walkthrough."),
-        ("walkthrough", "walktrough", "e.yaml:1: kind: 'walktrough' is not a kind of experiment. Did you mean 'walkthrough'?"),
+        (
+            "walkthrough",
+            "walktrough",
+            "e.yaml:1: kind: 'walktrough' is not a kind of experiment. Did you mean 'walkthrough'?",
+        ),
         ("kind: walkthrough\n", "", "e.yaml:1: kind: is required."),
         ("width: 32", "width: -32", "e.yaml:3: image.width: must be at least 1, not -32."),
         ("width: 32", "width: .nan", "e.yaml:3: image.width: must be a whole number, not nan."),
@@ -245,7 +253,10 @@ def test_overrides_reach_into_the_scene_file(load: Load) -> None:
         ("techniques.x=1", "--set techniques.x=1: 'techniques' is a list; 'x' must be the index of an item, 0 to 0."),
         ("techniques.1=soft", "--set techniques.1=soft: 'techniques' has 1 item; there is no item 1 (the first is 0)."),
         ("techniques.0.sharp.bias=-1", "--set techniques.0.sharp.bias=-1: techniques.0.sharp.bias: must be at least 0"),
-        ("techniques.0.soft.taps=1", "--set techniques.0.soft.taps=1: 'techniques.0' is 'sharp' and has no 'soft' in it."),
+        (
+            "techniques.0.soft.taps=1",
+            "--set techniques.0.soft.taps=1: 'techniques.0' is 'sharp' and has no 'soft' in it.",
+        ),
         ("scene.camera.fov=1", "scene.camera.fov: is not a known key"),
     ],
 )
@@ -258,8 +269,10 @@ def test_wrong_overrides(load: Load, override: str, expected: str) -> None:
 def test_an_inline_scene_finds_its_files_beside_the_experiment(load: Load, tmp_path: Path) -> None:
     (tmp_path / "m").mkdir()
     (tmp_path / "m" / "t.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    inline = "scene: {meshes: [{file: m/t.obj}], " + "lights: [{kind: point, position: [0, 4, 0]}], " + (
-        "camera: {eye: [3, 3, 3], target: [0, 0, 0], fov_deg: 50, near: 0.1, far: 50}}"
+    inline = (
+        "scene: {meshes: [{file: m/t.obj}], "
+        + "lights: [{kind: point, position: [0, 4, 0]}], "
+        + ("camera: {eye: [3, 3, 3], target: [0, 0, 0], fov_deg: 50, near: 0.1, far: 50}}")
     )
     experiment = load(HEAD.replace("scene: scene.yaml", inline) + "- sharp\n")
     assert len(experiment.load_scene().meshes) == 1

@@ -59,10 +59,16 @@ def message(text: str) -> str:
         ("blend: 1", "thing.yaml:1: blend: is not a known key."),
         ("lights:\n- {kind: pont}", "thing.yaml:2: lights.0.kind: 'pont' is not a valid name. Did you mean 'point'?"),
         ("lights:\n- {radius: 1}", "thing.yaml:2: lights.0: needs the key 'kind'."),
-        ("lights:\n- kind: disc\n  radios: 1", "thing.yaml:3: lights.0.radios: is not a known key. Did you mean 'radius'?"),
+        (
+            "lights:\n- kind: disc\n  radios: 1",
+            "thing.yaml:3: lights.0.radios: is not a known key. Did you mean 'radius'?",
+        ),
         ("lights:\n- kind: disc\n", "thing.yaml:2: lights.0.radius: is required."),
         ("lights:\n- kind: disc\n  radius: -1", "thing.yaml:3: lights.0.radius: must be at least 0, not -1."),
-        ("lights:\n- kind: point\n  position:\n  - 1\n  - 2\n  - x", "thing.yaml:6: lights.0.position.2: must be a number"),
+        (
+            "lights:\n- kind: point\n  position:\n  - 1\n  - 2\n  - x",
+            "thing.yaml:6: lights.0.position.2: must be a number",
+        ),
         ("lights:\n- kind: point\n  position: [1, 2]", "thing.yaml:3: lights.0.position: has too few items: [1, 2]."),
         ("lights: 3", "thing.yaml:1: lights: must be a list, not 3."),
         ("- width", "thing.yaml:1: must be a mapping of keys to values, not ['width']."),
@@ -89,7 +95,10 @@ def test_further_mistakes_are_counted() -> None:
         ("a: 1\n  b: 2", "f.yaml:2: is not valid YAML"),
         ("a: 1\n---\nb: 2", "f.yaml:2: is not valid YAML"),
         ("a: *b", "f.yaml:1: is not valid YAML: found undefined alias"),
-        ("a: !!python/object/apply:os.system [ls]", "f.yaml:1: the tag '!!python/object/apply:os.system' is not allowed."),
+        (
+            "a: !!python/object/apply:os.system [ls]",
+            "f.yaml:1: the tag '!!python/object/apply:os.system' is not allowed.",
+        ),
         ("a: !!binary aGk=", "f.yaml:1: the tag '!!binary' is not allowed."),
         ("a: &a [*a]", "f.yaml:1: an alias refers to itself."),
         ("? [1]\n: 2", "f.yaml:1: a key must be a word"),
@@ -126,15 +135,30 @@ def test_scalars_follow_yaml_1_2() -> None:
     text = "{a: 1e-3, b: on, c: 012, d: 0x10, e: 1:30, f: 2020-01-01, g: ~, h: .5, i: -.inf, on: 1, 7: x}"
     data = parse_yaml(text).data
     assert data == {
-        "a": 1e-3, "b": "on", "c": 12, "d": 16, "e": "1:30", "f": "2020-01-01", "g": None, "h": 0.5, "i": -math.inf,
-        "on": 1, "7": "x",
+        "a": 1e-3,
+        "b": "on",
+        "c": 12,
+        "d": 16,
+        "e": "1:30",
+        "f": "2020-01-01",
+        "g": None,
+        "h": 0.5,
+        "i": -math.inf,
+        "on": 1,
+        "7": "x",
     }
     assert isinstance(data["c"], int) and isinstance(data["h"], float)
 
 
 def test_lines_of_keys_items_and_missing_keys() -> None:
     source = parse_yaml("a:\n  b:\n  - 1\n  - c: 2\nd: 3\n", "f.yaml")
-    assert [source.line(loc) for loc in [("a",), ("a", "b"), ("a", "b", 1), ("a", "b", 1, "c"), ("d",)]] == [1, 2, 4, 4, 5]
+    assert [source.line(loc) for loc in [("a",), ("a", "b"), ("a", "b", 1), ("a", "b", 1, "c"), ("d",)]] == [
+        1,
+        2,
+        4,
+        4,
+        5,
+    ]
     assert source.line(("a", "b", 1, "absent")) == 4
     assert source.line(("a", "b", 9)) == 2
     assert from_dict({"a": 1}).line(("a",)) is None
@@ -149,7 +173,25 @@ def test_merge_keys_are_overridden_by_own_keys() -> None:
 
 def test_written_yaml_reads_back_to_the_same_values() -> None:
     data: dict[str, Any] = {
-        "a": [1e-05, 1e30, 1, True, None, "1e3", "yes", "true", "", "~", "12", "0x1", "a: b", "- c", "é", " x ", "n\nm"],
+        "a": [
+            1e-05,
+            1e30,
+            1,
+            True,
+            None,
+            "1e3",
+            "yes",
+            "true",
+            "",
+            "~",
+            "12",
+            "0x1",
+            "a: b",
+            "- c",
+            "é",
+            " x ",
+            "n\nm",
+        ],
         "b": {"c": [], "d": {}, "nan": math.inf, "on": {"deep": [{"k": [1.5]}]}},
     }
     assert parse_yaml(dump_yaml(data)).data == data

@@ -26,7 +26,9 @@ def triangle_soup(rng: np.random.Generator, count: int, size: float) -> tuple[np
     return (middle + rng.normal(0.0, size, (count, 3, 3))).reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)
 
 
-def both(points: np.ndarray, faces: np.ndarray, view: HostView, cull: int = CULL_NONE) -> list[tuple[np.ndarray, np.ndarray]]:
+def both(
+    points: np.ndarray, faces: np.ndarray, view: HostView, cull: int = CULL_NONE
+) -> list[tuple[np.ndarray, np.ndarray]]:
     paths = ("lanes", "tiles")
     return [draw(points, faces, view, "cpu", cull=cull, rasteriser=Rasteriser("cpu", 2, path)) for path in paths]
 
@@ -74,7 +76,12 @@ def test_a_rasteriser_can_be_used_again_for_another_mesh_and_size() -> None:
     """Its scratch holds the last mesh's corners and grows behind them when triangles are clipped."""
     rng = np.random.default_rng(8)
     rasteriser = Rasteriser("cpu", 2)
-    for count, size, shape in ((50, 1.0, (64, 64)), (3000, 9.0, (300, 200)), (10, 40.0, (128, 16)), (3000, 0.3, (300, 200))):
+    for count, size, shape in (
+        (50, 1.0, (64, 64)),
+        (3000, 9.0, (300, 200)),
+        (10, 40.0, (128, 16)),
+        (3000, 0.3, (300, 200)),
+    ):
         points, faces = triangle_soup(rng, count, size)
         view = view_of(True, *shape)
         again = draw(points, faces, view, "cpu", rasteriser=rasteriser)

@@ -1,9 +1,10 @@
 """Triangle rasteriser: nearest linear depth and triangle per pixel.
 
 Coverage is exact and the same on every path: vertices are snapped to 1/256 pixel, edge functions are integers, and the
-top-left rule gives a pixel centre on a shared edge to exactly one triangle. Triangles that cross the near plane or leave the
-guard band are clipped first (Sutherland-Hodgman in homogeneous coordinates). Of equal depths the lower triangle index wins
-(on the lane path pieces of clipped triangles come last). Results do not depend on the number of threads.
+top-left rule gives a pixel centre on a shared edge to exactly one triangle. Triangles that cross the near plane or
+leave the guard band are clipped first (Sutherland-Hodgman in homogeneous coordinates). Of equal depths the lower
+triangle index wins (on the lane path pieces of clipped triangles come last). Results do not depend on the number of
+threads.
 
 - ``lanes``: the CPU's path, bands of rows with the inner loops written so that LLVM turns them into SIMD;
 - ``tiles``: the plain CPU path, for projections that are neither perspective nor orthographic, and the others' twin;

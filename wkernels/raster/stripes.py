@@ -65,7 +65,12 @@ def split_key(
 
 
 def draw_stripes(
-    scratch: Scratch, triangles: ScreenTriangles, total: int, with_triangles: int, depth_out: wp.array, triangle_out: wp.array
+    scratch: Scratch,
+    triangles: ScreenTriangles,
+    total: int,
+    with_triangles: int,
+    depth_out: wp.array,
+    triangle_out: wp.array,
 ) -> None:
     """Clears the targets and draws ``total`` projected triangles on CUDA."""
     key = scratch.array("key", (triangles.height, triangles.width), wp.uint64)

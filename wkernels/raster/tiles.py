@@ -1,7 +1,7 @@
 """The plain CPU rasteriser: 32 x 32 pixel tiles, one pixel at a time.
 
-It draws views under any projection, and is the twin that the lane rasteriser is tested against. Triangles are counted and
-listed per tile by chunks that own their lists, then each tile is drawn by one thread, in triangle order.
+It draws views under any projection, and is the twin that the lane rasteriser is tested against. Triangles are counted
+and listed per tile by chunks that own their lists, then each tile is drawn by one thread, in triangle order.
 """
 
 from __future__ import annotations
@@ -48,9 +48,7 @@ def count_tiles(
         s = set_up(triangles, t)
         box = wp.vec4ub(wp.uint8(1), wp.uint8(0), wp.uint8(0), wp.uint8(0))
         if s.x1 >= s.x0:
-            box = wp.vec4ub(
-                wp.uint8(s.x0 / TILE), wp.uint8(s.y0 / TILE), wp.uint8(s.x1 / TILE), wp.uint8(s.y1 / TILE)
-            )
+            box = wp.vec4ub(wp.uint8(s.x0 / TILE), wp.uint8(s.y0 / TILE), wp.uint8(s.x1 / TILE), wp.uint8(s.y1 / TILE))
             for y in range(s.y0 / TILE, s.y1 / TILE + 1):
                 for x in range(s.x0 / TILE, s.x1 / TILE + 1):
                     counts_out[y * tiles_x + x, chunk] += 1
@@ -148,7 +146,12 @@ def draw_tile(
 
 
 def draw_tiles(
-    scratch: Scratch, triangles: ScreenTriangles, total: int, with_triangles: int, depth_out: wp.array, triangle_out: wp.array
+    scratch: Scratch,
+    triangles: ScreenTriangles,
+    total: int,
+    with_triangles: int,
+    depth_out: wp.array,
+    triangle_out: wp.array,
 ) -> None:
     """Clears the targets and draws ``total`` projected triangles on the CPU."""
     tiles_x, tiles_y = -(-triangles.width // TILE), -(-triangles.height // TILE)

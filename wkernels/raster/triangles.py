@@ -30,7 +30,7 @@ def to_homogeneous_pixels(view: View, position_ws: wp.vec3):
 
 @wp.func
 def inside_distance(plane: int, h: wp.vec4, near: float):
-    """Signed distance (any positive scale) of a homogeneous pixel position to a clip plane: near, then the guard band."""
+    """Signed distance (any positive scale) of a homogeneous pixel position to a plane: near, then the guard band."""
     distance = h[2] - near
     if plane == 1:
         distance = h[0] + GUARD_PIXELS * h[3]
@@ -158,7 +158,7 @@ class ScreenTriangles:
 
 @wp.struct
 class Setup:
-    """One triangle ready to be tested against pixels, wound so that its inside is where all edge functions are positive."""
+    """One triangle ready to be tested against pixels, wound so that inside all edge functions are positive."""
 
     a: wp.vec4
     b: wp.vec4
@@ -273,7 +273,7 @@ def triangle_id(triangles: ScreenTriangles, t: int):
 
 @wp.func
 def interpolate_depth(s: Setup, e_a: wp.int64, e_b: wp.int64, e_c: wp.int64):
-    """Linear depth from the edge functions opposite a, b, c, all >= 0: perspective correct, affine for orthographic views."""
+    """Linear depth, perspective correct, from the edge functions opposite a, b and c, all >= 0."""
     l_a = float(e_a)
     l_b = float(e_b)
     l_c = float(e_c)

@@ -1,0 +1,322 @@
+"""Pass 4 of the lane rasteriser: the triangles of one band of rows into depths, 8 pixels of a row at a time."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from wkernels.raster.lane_culling import SMALL, edge_32, first_centre, last_centre
+from wkernels.raster.triangles import (
+    CULL_BACK,
+    CULL_FRONT,
+    HALF_PIXEL,
+    NO_TRIANGLE,
+    SUBPIXELS,
+    edge,
+    top_left_bias,
+)
+
+LANES = wp.constant(64)  # triangles set up in one step
+PIECE = wp.constant(8)  # pixels drawn in one step
+PIECE_64 = wp.constant(wp.float64(8.0))
+PIXEL_64 = wp.constant(wp.float64(256.0))
+FAR_KEY = wp.constant(1.0e30)
+UNCOVERED = wp.constant(-4.0e30)  # times (edge function + 1/2): beyond any key where negative, below any where not
+HUGE = wp.constant(1.0e38)
+
+Ints = wp.types.vector(length=LANES, dtype=wp.int32)
+Floats = wp.types.vector(length=LANES, dtype=wp.float32)
+Piece = wp.types.vector(length=PIECE, dtype=wp.float32)
+
+
+@wp.func
+def bias_32(ax: int, ay: int, bx: int, by: int):
+    """``triangles.top_left_bias``."""
+    return wp.where(by < ay, 0, wp.where(by == ay, wp.where(bx > ax, 0, -1), -1))
+
+
+@wp.func
+def add_row(low: wp.int64, step: wp.int64, span: wp.vec2i):
+    """Narrows a span of pixels to where ``low + step * pixel >= 0``."""
+    begin = span[0]
+    end = span[1]
+    if step > wp.int64(0):
+        pixel = -low / step
+        if pixel * step < -low:
+            pixel += wp.int64(1)
+        begin = wp.max(begin, int(wp.min(pixel, wp.int64(65536))))
+    elif step < wp.int64(0):
+        pixel = low / -step
+        if pixel * -step > low:
+            pixel -= wp.int64(1)
+        end = wp.min(end, int(wp.max(pixel, wp.int64(-1))))
+    elif low < wp.int64(0):
+        end = -1
+    return wp.vec2i(begin, end)
+
+
+@wp.struct
+class Target:
+    """What one band is drawn into: rows of ``pitch`` floats, of which pieces may start anywhere."""
+
+    key: wp.array(dtype=float)
+    key_piece: wp.array(dtype=Piece)  # the same memory, a piece from every float on
+    triangle: wp.array(dtype=float)
+    triangle_piece: wp.array(dtype=Piece)
+    with_triangles: int
+    pitch: int
+    width: int
+
+
+@wp.func
+def draw_piece(target: Target, at: int, key: Piece, triangle: Piece):
+    """Keeps the nearer of a piece's keys and the target's, and its triangle; the first stays where they are equal."""
+    old = target.key_piece[at]
+    if target.with_triangles != 0:
+        nearer = wp.min(wp.max((old - key) * HUGE, Piece(0.0)), Piece(1.0))
+        held = target.triangle_piece[at]
+        target.triangle_piece[at] = held + wp.cw_mul(nearer, triangle - held)
+    target.key_piece[at] = wp.min(old, key)
+
+
+@wp.func
+def draw_wide(
+    target: Target,
+    corners: wp.array(dtype=int),
+    column: wp.array(dtype=int),
+    row: wp.array(dtype=int),
+    key: wp.array(dtype=float),
+    t: int,
+    triangle: float,
+    box: wp.vec4i,
+    cull: int,
+    steps: Piece,
+):
+    """Draws a triangle of any size within ``box`` (x0, y0, x1, y1), row by row between its exact borders."""
+    a = corners[3 * t]
+    b = corners[3 * t + 1]
+    c = corners[3 * t + 2]
+    ax = wp.int64(column[a])
+    ay = wp.int64(row[a])
+    bx = wp.int64(column[b])
+    by = wp.int64(row[b])
+    cx = wp.int64(column[c])
+    cy = wp.int64(row[c])
+    key_a = wp.float64(key[a])
+    key_b = wp.float64(key[b])
+    key_c = wp.float64(key[c])
+    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    if area == wp.int64(0) or (area < wp.int64(0) and cull == CULL_FRONT) or (area > wp.int64(0) and cull == CULL_BACK):
+        return
+    if area < wp.int64(0):
+        other_x = bx
+        other_y = by
+        other_key = key_b
+        bx = cx
+        by = cy
+        key_b = key_c
+        cx = other_x
+        cy = other_y
+        key_c = other_key
+        area = -area
+    lowest = float(wp.min(wp.min(key_a, key_b), key_c))
+    highest = float(wp.max(wp.max(key_a, key_b), key_c))
+    over_area = wp.float64(1.0) / wp.float64(area)
+    step_a = by - cy
+    step_b = cy - ay
+    step_c = ay - by
+    slope = (
+        (wp.float64(step_a) * key_a + wp.float64(step_b) * key_b + wp.float64(step_c) * key_c) * over_area * PIXEL_64
+    )
+    rise = steps * float(slope)
+    low_piece = Piece(lowest)
+    high_piece = Piece(highest)
+    triangle_piece = Piece(triangle)
+    x = wp.int64(box[0] * SUBPIXELS + HALF_PIXEL)
+    for y_px in range(box[1], box[3] + 1):
+        y = wp.int64(y_px * SUBPIXELS + HALF_PIXEL)
+        e_a = edge(bx, by, cx, cy, x, y)
+        e_b = edge(cx, cy, ax, ay, x, y)
+        e_c = edge(ax, ay, bx, by, x, y)
+        span = wp.vec2i(0, box[2] - box[0])
+        span = add_row((e_a + top_left_bias(bx, by, cx, cy)) >> wp.int64(8), step_a, span)
+        span = add_row((e_b + top_left_bias(cx, cy, ax, ay)) >> wp.int64(8), step_b, span)
+        span = add_row((e_c + top_left_bias(ax, ay, bx, by)) >> wp.int64(8), step_c, span)
+        count = span[1] - span[0] + 1
+        # in double up to each piece: what 8 pixels add in float stays below the rounding of the key
+        value = (wp.float64(e_a) * key_a + wp.float64(e_b) * key_b + wp.float64(e_c) * key_c) * over_area
+        value += wp.float64(span[0]) * slope
+        at = y_px * target.pitch + box[0] + span[0]
+        for _piece in range(wp.max(count, 0) / PIECE):
+            draw_piece(target, at, wp.min(wp.max(rise + Piece(float(value)), low_piece), high_piece), triangle_piece)
+            value += PIECE_64 * slope
+            at += PIECE
+        for k in range(wp.max(count, 0) % PIECE):
+            near = wp.clamp(float(value + wp.float64(k) * slope), lowest, highest)
+            if near < target.key[at + k]:
+                target.key[at + k] = near
+                if target.with_triangles != 0:
+                    target.triangle[at + k] = triangle
+
+
+@wp.kernel
+def draw_band(
+    first: int,
+    corners: wp.array(dtype=int),
+    column: wp.array(dtype=int),
+    row: wp.array(dtype=int),
+    key: wp.array(dtype=float),
+    clip_triangle: wp.array(dtype=int),
+    triangles: int,
+    band_begin: wp.array(dtype=int),
+    band_list: wp.array(dtype=int),
+    band_rows: int,
+    height: int,
+    far: float,
+    perspective: int,
+    cull: int,
+    steps: Piece,
+    target: Target,
+    depth_piece: wp.array(dtype=Piece),
+    depth_out: wp.array2d(dtype=float),
+    triangle_out: wp.array2d(dtype=int),
+):
+    """Clears one band of rows, draws its triangles, and turns keys into depths."""
+    band = first + wp.tid()
+    pitch = target.pitch
+    top = band * band_rows
+    bottom = wp.min(top + band_rows, height) - 1
+    background = wp.where(perspective == 1, 0.0, FAR_KEY)
+    clear = Piece(background)
+    nothing = Piece(-1.0)
+    for at in range(top * pitch, (bottom + 1) * pitch, PIECE):
+        target.key_piece[at] = clear
+    if target.with_triangles != 0:
+        for at in range(top * pitch, (bottom + 1) * pitch, PIECE):
+            target.triangle_piece[at] = nothing
+    e_a = Floats(0.0)
+    e_b = Floats(0.0)
+    e_c = Floats(0.0)
+    dx_a = Floats(0.0)
+    dx_b = Floats(0.0)
+    dx_c = Floats(0.0)
+    dy_a = Floats(0.0)
+    dy_b = Floats(0.0)
+    dy_c = Floats(0.0)
+    key_0 = Floats(0.0)
+    lowest = Floats(0.0)
+    highest = Floats(0.0)
+    by_a = Floats(0.0)
+    by_b = Floats(0.0)
+    by_c = Floats(0.0)
+    name = Floats(0.0)
+    x0 = Ints(0)
+    x1 = Ints(0)
+    y0 = Ints(0)
+    y1 = Ints(0)
+    wide = Ints(0)
+    list_end = band_begin[band + 1]
+    for i0 in range(band_begin[band], list_end, LANES):
+        for k in range(LANES):
+            t = band_list[wp.min(i0 + k, list_end - 1)]
+            a = corners[3 * t]
+            b = corners[3 * t + 1]
+            c = corners[3 * t + 2]
+            ax = column[a]
+            ay = row[a]
+            b_x = column[b]
+            b_y = row[b]
+            c_x = column[c]
+            c_y = row[c]
+            area = edge_32(ax, ay, b_x, b_y, c_x, c_y)
+            swap = wp.where(area < 0, 1, 0)
+            bx = wp.where(swap == 1, c_x, b_x)
+            by = wp.where(swap == 1, c_y, b_y)
+            cx = wp.where(swap == 1, b_x, c_x)
+            cy = wp.where(swap == 1, b_y, c_y)
+            key_a = key[a]
+            key_b = wp.where(swap == 1, key[c], key[b])
+            key_c = wp.where(swap == 1, key[b], key[c])
+            low_x = wp.min(wp.min(ax, bx), cx)
+            high_x = wp.max(wp.max(ax, bx), cx)
+            low_y = wp.min(wp.min(ay, by), cy)
+            high_y = wp.max(wp.max(ay, by), cy)
+            left = wp.max(first_centre(low_x), 0)
+            upper = wp.max(first_centre(low_y), top)
+            x = left * SUBPIXELS + HALF_PIXEL
+            y = upper * SUBPIXELS + HALF_PIXEL
+            f_a = edge_32(bx, by, cx, cy, x, y)
+            f_b = edge_32(cx, cy, ax, ay, x, y)
+            f_c = edge_32(ax, ay, bx, by, x, y)
+            g_a = (f_a + bias_32(bx, by, cx, cy)) >> 8
+            g_b = (f_b + bias_32(cx, cy, ax, ay)) >> 8
+            g_c = (f_c + bias_32(ax, ay, bx, by)) >> 8
+            e_a[k] = float(g_a)
+            e_b[k] = float(g_b)
+            e_c[k] = float(g_c)
+            dx_a[k] = float(by - cy)
+            dx_b[k] = float(cy - ay)
+            dx_c[k] = float(ay - by)
+            dy_a[k] = float(cx - bx)
+            dy_b[k] = float(ax - cx)
+            dy_c[k] = float(bx - ax)
+            # The key is the edge functions' weighted sum. Inside, no term has another sign, so that nothing cancels.
+            over_area = 1.0 / float(wp.max(wp.abs(area), 1))
+            key_0[k] = (
+                float(f_a - 256 * g_a) * key_a + float(f_b - 256 * g_b) * key_b + float(f_c - 256 * g_c) * key_c
+            ) * over_area
+            lowest[k] = wp.min(wp.min(key_a, key_b), key_c)
+            highest[k] = wp.max(wp.max(key_a, key_b), key_c)
+            by_a[k] = key_a * (over_area * float(SUBPIXELS))
+            by_b[k] = key_b * (over_area * float(SUBPIXELS))
+            by_c[k] = key_c * (over_area * float(SUBPIXELS))
+            x0[k] = left
+            x1[k] = wp.min(last_centre(high_x), target.width - 1)
+            y0[k] = upper
+            y1[k] = wp.min(last_centre(high_y), bottom)
+            wide[k] = wp.where(wp.max(high_x - low_x, high_y - low_y) > SMALL, 1, 0)
+            name[k] = float(wp.where(t < triangles, t, clip_triangle[wp.max(t - triangles, 0)]))
+        for k in range(wp.min(LANES, list_end - i0)):
+            if wide[k] != 0:
+                box = wp.vec4i(x0[k], y0[k], x1[k], y1[k])
+                draw_wide(target, corners, column, row, key, band_list[i0 + k], name[k], box, cull, steps)
+            else:
+                name_piece = Piece(name[k])
+                rest = Piece(key_0[k])
+                low_piece = Piece(lowest[k])
+                high_piece = Piece(highest[k])
+                down_a = Piece(dy_a[k])
+                down_b = Piece(dy_b[k])
+                down_c = Piece(dy_c[k])
+                for column_0 in range(x0[k], x1[k] + 1, PIECE):
+                    right = float(column_0 - x0[k])
+                    in_a = steps * dx_a[k] + Piece(e_a[k] + right * dx_a[k])
+                    in_b = steps * dx_b[k] + Piece(e_b[k] + right * dx_b[k])
+                    in_c = steps * dx_c[k] + Piece(e_c[k] + right * dx_c[k])
+                    at = y0[k] * pitch + column_0
+                    for _y in range(y0[k], y1[k] + 1):
+                        inside = wp.min(wp.min(in_a, in_b), in_c)
+                        near = in_a * by_a[k] + in_b * by_b[k] + in_c * by_c[k] + rest
+                        near = wp.min(wp.max(near, low_piece), high_piece)
+                        draw_piece(target, at, wp.max(near, (inside + Piece(0.5)) * UNCOVERED), name_piece)
+                        in_a += down_a
+                        in_b += down_b
+                        in_c += down_c
+                        at += pitch
+    # Keys become depths; what lies beyond the far plane, and the background, overflows to infinity.
+    one = Piece(1.0)
+    zero = Piece(0.0)
+    limit = Piece(far)
+    for y in range(top, bottom + 1):
+        for x in range(0, target.width - PIECE + 1, PIECE):
+            depth = target.key_piece[y * pitch + x]
+            if perspective == 1:
+                depth = wp.cw_div(one, zero - depth)  # 0 - 0 is +0, whose reciprocal is +inf
+            depth_piece[y * target.width + x] = depth + wp.max(depth - limit, zero) * HUGE * HUGE
+        for x in range(target.width - target.width % PIECE, target.width):
+            last = float(target.key[y * pitch + x])
+            if perspective == 1:
+                last = 1.0 / (0.0 - last)
+            depth_out[y, x] = wp.where(last <= far, last, wp.inf)
+        if target.with_triangles != 0:
+            for x in range(target.width):
+                triangle_out[y, x] = wp.where(depth_out[y, x] <= far, int(target.triangle[y * pitch + x]), NO_TRIANGLE)
