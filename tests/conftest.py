@@ -5,9 +5,14 @@ import small_scenes
 import warp as wp
 
 import wkernels  # fixes Warp's options before any test module defines a kernel
+from wkernels import launch as launching
 from wkernels.scene import Scene
 
 assert wkernels.__version__
+
+
+# Test images are small enough for one thread; shared all the same, so that what is tested is what large ones do.
+launching.WORTH_SHARING_S = 0.0
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

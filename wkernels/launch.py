@@ -13,13 +13,17 @@ import itertools
 import os
 import sys
 import threading
+import time
 from collections.abc import Callable, Sequence
 from queue import SimpleQueue
 
 import warp as wp
 
 TILES_PER_THREAD = 6  # enough for uneven tiles to even out, few enough that the cost of launching stays small
-SERIAL_CELLS = 2048  # smaller grids run on the calling thread: a hand-off costs more than they do
+WORTH_SHARING_S = 0.5e-3
+"""A shorter launch runs on the calling thread, as waking another takes 0.1 to 0.3 ms. 0 shares every launch."""
+_expected_s: dict[tuple[wp.Kernel, tuple[int, ...]], float | None] = {}
+"""How long a launch of this size took on one thread; decides who runs it, never what it computes."""
 
 
 def default_threads() -> int:
@@ -110,8 +114,14 @@ def launch(
         return
     threads = default_threads() if threads is None else threads
     rows = shape[0]
-    if threads <= 1 or rows == 1 or (cells < SERIAL_CELLS and tile is None):
+    key = (kernel, shape)
+    expected = _expected_s.get(key)
+    begin = time.perf_counter()
+    too_short = WORTH_SHARING_S > 0.0 and (expected is None or expected < WORTH_SHARING_S)
+    if threads <= 1 or rows == 1 or too_short:
         wp.launch(kernel, dim=shape, inputs=arguments, device="cpu")
+        # the first launch may compile, so that it is the second one that tells
+        _expected_s[key] = time.perf_counter() - begin if key in _expected_s else None
         return
     tile = tile or max(1, -(-rows // (threads * TILES_PER_THREAD)))
     workers = min(threads, -(-rows // tile))
@@ -123,9 +133,14 @@ def launch(
     ticket = itertools.count()
 
     def job(command: wp.Launch) -> None:
+        size = tile
         while (first := next(ticket) * tile) < rows:
-            command.set_dim((min(tile, rows - first), *shape[1:]))
+            if min(tile, rows - first) != size:
+                size = min(tile, rows - first)
+                command.set_dim((size, *shape[1:]))
             command.set_param_at_index(0, first)
             command.launch()
 
     _team.run([functools.partial(job, command) for command in commands])
+    spent = (time.perf_counter() - begin) * workers
+    _expected_s[key] = spent if expected is None else min(expected, spent)

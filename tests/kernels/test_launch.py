@@ -89,3 +89,18 @@ def test_threads_come_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> N
     for nonsense in ("0", "-2", "many", ""):
         monkeypatch.setenv("WKERNELS_THREADS", nonsense)
         assert default_threads() == plain
+
+
+def test_only_launches_worth_it_are_shared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first launch may compile and the second is timed; a later one is shared if that took long enough."""
+    shared: list[int] = []
+    monkeypatch.setattr(launching._team, "run", lambda jobs: [shared.append(len(jobs)), *(job() for job in jobs)])
+    visits = wp.zeros((640, 80), dtype=int, device="cpu")
+    for limit, expected in ((1e9, []), (1e-9, [2])):
+        monkeypatch.setattr(launching, "WORTH_SHARING_S", limit)
+        monkeypatch.setattr(launching, "_expected_s", {})
+        shared.clear()
+        for _ in range(3):
+            launch(visit_2d, (640, 80), [], [visits], device="cpu", threads=2)
+        assert shared == expected
+    assert (visits.numpy() == 6 * (np.arange(640)[:, None] * 1000 + np.arange(80) + 1)).all()

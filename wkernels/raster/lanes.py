@@ -86,7 +86,7 @@ class LaneRasteriser:
         counts.numpy()[:] = 0
         if triangles:
             inputs = [corners, column, row, 0, triangles, 0, CHUNKS, *shape]
-            scratch.launch(cull_lanes, CHUNKS, inputs, outputs, tile=1)
+            scratch.launch(cull_lanes, CHUNKS, inputs, outputs)
         crossing = [
             clipped.numpy()[b : b + n] for b, n in zip(chunk_begin, found.numpy()[1, :CHUNKS], strict=False) if n
         ]
@@ -113,7 +113,7 @@ class LaneRasteriser:
         counts.numpy().ravel()[:] = starts[:-1]
         band_list = scratch.array("band list", (int(starts[-1]),), int)
         begins = wp.array(chunk_begin, dtype=int, device="cpu")
-        scratch.launch(list_bands, CHUNKS + 1, [survivor, span, begins, found, counts], [band_list], tile=1)
+        scratch.launch(list_bands, CHUNKS + 1, [survivor, span, begins, found, counts], [band_list])
 
         target = self._target(pitch, bands * band_rows, view.width, triangle_out is not None)
         if triangle_out is None:
