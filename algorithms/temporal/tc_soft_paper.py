@@ -18,6 +18,9 @@ Deviations, where the paper is silent or wrong:
   plane, and only texels that pass are interpolated: no surface is mixed with another. ``history: nearest`` reads one
   texel, but history then sticks to the screen under an eye that moves by less than half a pixel a frame.
 - Equation 6 maps a length to the near plane only; here it is pixels, pw H / (2 depth tan(fov / 2)).
+- A filter as wide as the penumbra keeps its bias until the error reaches t (psi = 1/2: n = 626), so that errors fall
+  with the fourth root of n at best. From SE = 1/4 on its width is in proportion to SE, which follows the samples;
+  ``filter_width: penumbra`` is the published filter.
 - The Poisson disc of the neighbourhood filter is made of opposite taps, so that its depth range shifts no edge on
   slanted ground; the range itself is that of Schwaerzler 2009.
 - Equation 7 counts frames, but only frames with a blocker add to its sum: shadowed samples are counted.
@@ -27,7 +30,7 @@ Deviations, where the paper is silent or wrong:
   next frame starts anew, so that nothing trails.
 
 Known artefacts: noise and flicker while n is small and where moving and static penumbrae overlap; SE = 0 is false
-certainty where all tests agree so far; the filter blurs penumbrae that are still above t (psi = 1/2: until n = 626);
+certainty where all tests agree so far; the filter blurs penumbrae that are still above t;
 history blurs a little with every frame in which the eye moves, and lags on surfaces that move by less than epsilon a
 frame, as points are followed by the camera's motion alone.
 """
@@ -71,6 +74,7 @@ from wkernels.shadow_buffer import (
 )
 from wkernels.views import View
 
+FULL_WIDTH_ERROR = wp.constant(0.25)  # standard error of about five tests
 UNROTATED = wp.constant(wp.mat22(1.0, 0.0, 0.0, 1.0))
 
 
@@ -92,6 +96,7 @@ class Settings:
     depth_epsilon: float  # scene units
     texel_steps: float  # BILINEAR or NEAREST
     smooths: int
+    narrows: int
     error_threshold: float  # t
 
 
@@ -194,6 +199,8 @@ def update_shadow_buffer(
             ratio = penumbra_ratio(footprint.is_point, receiver_depth, receiver_depth * (1.0 - record.blocker_rise))
             width_px = settings.light_size * ratio * pixels_per_length(gbuffer.view, record.depth)
             half_width = 0.5 * width_px
+            if settings.narrows != 0:
+                half_width = half_width * wp.min(1.0, error / FULL_WIDTH_ERROR)
         if moves != 0:
             record.n = 0.0
             record.rho = 0.0
@@ -263,6 +270,12 @@ class TcSoftPaper(Technique):
             ge=2,
             le=4096,
             multiple_of=2,
+        )
+        filter_width: Literal["error", "penumbra"] = setting(
+            "error",
+            "width of that filter: the penumbra's, or in proportion to the error that is left; published: penumbra",
+            unit="name",
+            source="sec. 3.3",
         )
         error_threshold: float = setting(
             0.02, "t: standard error down to which pixels are smoothed", unit="1", source="sec. 4", ge=0.0, le=1.0
@@ -345,4 +358,5 @@ class TcSoftPaper(Technique):
         out.depth_epsilon = p.depth_epsilon * frame.reach
         out.texel_steps = BILINEAR if p.history == "bilinear" else NEAREST
         out.smooths, out.error_threshold = int(p.filter), p.error_threshold
+        out.narrows = int(p.filter_width == "error")
         return out

@@ -98,13 +98,23 @@ def test_sampling_alone_weights_a_textured_light(device: str) -> None:
     np.testing.assert_allclose(ours.visibility, maps.visibility, atol=1e-6)
 
 
-def test_converges_to_the_reference(device: str) -> None:
+@pytest.mark.parametrize("smooth", [True, False])
+def test_converges_to_the_reference(smooth: bool, device: str) -> None:
     scene = small.box_on_ground(LAMP)
     expected = truth(scene, device, samples=1024)
-    frames = walk(scene, device, 256, resolution=1024, filter=False)
+    frames = walk(scene, device, 256, resolution=1024, filter=smooth)
     error = [rmse(frames[n - 1].visibility, expected) for n in (16, 64, 256)]
     assert error[1] < 0.5 * error[0] and error[2] < 0.5 * error[1], error  # slope 1/2 or better
     print("rmse at N = 16, 64, 256:", [round(e, 5) for e in error])
+
+
+def test_the_published_filter_width_keeps_its_bias(device: str) -> None:
+    """As wide as the penumbra to the end, it blurs what is above t, where the narrowing one follows the samples."""
+    scene = small.box_on_ground(LAMP)
+    expected = truth(scene, device, samples=1024)
+    ours, published = (walk(scene, device, 64, filter_width=width) for width in ("error", "penumbra"))
+    np.testing.assert_array_equal(ours[0].visibility, published[0].visibility)  # new pixels: both the whole penumbra
+    assert rmse(ours[63].visibility, expected) < 0.7 * rmse(published[63].visibility, expected)
 
 
 def test_filter_ends_where_the_standard_error_falls_below_the_threshold(device: str) -> None:
@@ -128,12 +138,15 @@ def test_filter_steadies_the_first_frames(device: str) -> None:
     """
     scene = small.box_on_ground(LAMP)
     expected = truth(scene, device)
-    published, sampled = walk(scene, device, 8, filter_depth_range=0.05), walk(scene, device, 8, **SAMPLING)
+    ours = walk(scene, device, 8, filter_depth_range=0.05)
+    published = walk(scene, device, 8, filter_depth_range=0.05, filter_width="penumbra")
+    sampled = walk(scene, device, 8, **SAMPLING)
 
     def flicker(frames: list[FrameResult]) -> float:
         return float(np.mean([rmse(b.visibility, a.visibility) for a, b in pairwise(frames)]))
 
     assert flicker(published) < 0.6 * flicker(sampled)
+    assert flicker(ours) < 0.7 * flicker(sampled)  # narrower from the sixth frame on
     assert rmse(published[0].visibility, expected) < 0.8 * rmse(sampled[0].visibility, expected)
     assert flicker(walk(scene, device, 8, start_weight=4.0)) < 0.6 * flicker(sampled)
 
