@@ -10,7 +10,7 @@ help:
 	@echo "make demo    render the demo walkthrough and write its report"
 	@echo "make test    run the tests"
 	@echo "make check   lint and type check"
-	@echo "make bench   time every technique of the demo at a larger size"
+	@echo "make bench   time passes beside other renderers, and frames"
 	@echo "make table   bring the technique table of README.md up to date"
 	@echo "make picture make the picture of README.md again, from the demo"
 	@echo "make clean   remove .venv and out/"
@@ -32,8 +32,7 @@ check: $(STAMP)
 	$(BIN)/mypy
 
 bench: $(STAMP)
-	@$(BIN)/wkernels run configs/experiments/cost.yaml --out out/bench
-	@echo "Report: $(CURDIR)/out/bench/report.html"
+	@$(BIN)/wkernels bench
 
 table: $(STAMP)
 	$(BIN)/python -m experiments.commands.readme

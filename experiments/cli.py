@@ -134,6 +134,21 @@ def doctor() -> None:
         raise typer.Exit(1)
 
 
+@app.command()
+def bench(
+    as_json: Annotated[bool, typer.Option("--json", help="Machine, versions and every row as JSON.")] = False,
+    only: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="A case, such as depth_250k; repeatable.")
+    ] = None,
+    threads: Threads = None,
+    repeats: Annotated[int, typer.Option(min=1, max=1000, help="Timed runs of each side; medians are shown.")] = 9,
+) -> None:
+    """Time our passes beside other renderers' and every technique's frame."""
+    from experiments.commands.bench import run_bench
+
+    run_bench(only=only or [], as_json=as_json, threads=threads, repeats=repeats)
+
+
 @app.command("new-technique")
 def new_technique(
     name: Annotated[str, typer.Argument(metavar="NAME", help="In snake_case, such as my_pcf.", show_default=False)],

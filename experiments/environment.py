@@ -57,20 +57,25 @@ def describe_run(experiment: Experiment, engine: Engine, *, skips: bool) -> dict
                 for run in experiment.runs
             ],
         },
-        "environment": {
-            "date": datetime.now(UTC).isoformat(timespec="seconds"),
-            "wkernels": __version__,
-            "git": git_commit(),
-            "python": platform.python_version(),
-            "platform": platform.platform(),
-            "cpu": cpu_model(),
-            "cores": os.cpu_count(),
-            "threads": engine.threads,
-            "device": engine.device,
-            "device_name": device_name(engine.device),
-            "packages": {name: package_version(name) for name in _PACKAGES},
-        },
+        "environment": describe_machine(engine.device, engine.threads),
         "metrics": {metric.name: metric.version for metric in METRICS.values()},
+    }
+
+
+def describe_machine(device: str, threads: int) -> dict[str, Any]:
+    """Software and machine that numbers were measured with."""
+    return {
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "wkernels": __version__,
+        "git": git_commit(),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "cpu": cpu_model(),
+        "cores": os.cpu_count(),
+        "threads": threads,
+        "device": device,
+        "device_name": device_name(device),
+        "packages": {name: package_version(name) for name in _PACKAGES},
     }
 
 

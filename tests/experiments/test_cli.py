@@ -60,7 +60,7 @@ def test_help_loads_nothing_heavy() -> None:
 def test_help_names_every_command(wkernels: Run) -> None:
     status, out, _ = wkernels("--help")
     assert status == 0
-    for command in ("list", "run", "report", "explain", "render", "doctor", "new-technique"):
+    for command in ("list", "run", "report", "explain", "render", "bench", "doctor", "new-technique"):
         assert f"\n  {command} " in out
 
 
