@@ -38,9 +38,9 @@ def tap_depth_lane(
     """``tap_depth`` of one lane."""
     scale = scale_x * dx + scale_y * dy + 1.0
     rise = rise_x * dx + rise_y * dy + rise_0
-    over = wp.where(scale > 0.0, scale, 1.0)
-    behind = wp.max(depth, (rise - bias / over) / over)
-    return wp.where(scale >= 1.0, rise / over - bias, wp.where(scale > 0.0, behind, depth))
+    # one division for both cases; where scale is 0 or less its outcome is not used
+    plane = (rise - wp.where(scale >= 1.0, 0.0, bias / scale)) / scale
+    return wp.where(scale >= 1.0, plane - bias, wp.where(scale > 0.0, wp.max(depth, plane), depth))
 
 
 @wp.func
@@ -50,7 +50,7 @@ def texel_depth_lane(
     """``receiver_depth_at`` of one lane."""
     scale = scale_x * dx + scale_y * dy + 1.0
     rise = rise_x * dx + rise_y * dy + rise_0
-    return wp.where(scale > 0.0, rise / wp.where(scale > 0.0, scale, 1.0) - bias, float(wp.inf))
+    return wp.where(scale > 0.0, rise / scale - bias, float(wp.inf))
 
 
 @wp.func
