@@ -23,11 +23,14 @@ import warp as wp
 from pydantic import ValidationInfo, field_validator
 
 from algorithms.technique import Limit, MapParams, Technique, setting
+from wkernels.comparison_lanes import SpreadRun
 from wkernels.filtering import check_tap_count, penumbra_filter, pull_taps
+from wkernels.filtering_lanes import keep_without_receiver, penumbra_filter_run
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer, is_back_lit
 from wkernels.geometry import RECEIVES
 from wkernels.light_map import Bias, LightMap, locate_receiver, to_light
+from wkernels.receiver_lanes import LANES, Floats, LaneViews, lane_views, locate_run, runs_per_row, uses_lanes
 
 
 @wp.kernel
@@ -55,6 +58,33 @@ def filter_comparisons(
                 spread = wp.mat22(radius, 0.0, 0.0, radius)
                 visible = penumbra_filter(light_map, receiver, spread, taps, bilinear)
     visibility_out[y, x] = visible
+
+
+@wp.kernel
+def filter_comparisons_lanes(
+    first: int,
+    views: LaneViews,
+    light_map: LightMap,
+    bias: Bias,
+    taps: wp.array(dtype=wp.vec2),
+    radius: float,
+    bilinear: int,
+    visibility_out: wp.array2d(dtype=float),
+):
+    """``filter_comparisons`` of a run of pixels."""
+    row, column = wp.tid()
+    y = first + row
+    x0 = column * LANES
+    receivers = locate_run(views, light_map, bias, x0, y)
+    visible = receivers.visible
+    if receivers.count > 0:
+        spread = SpreadRun()
+        spread.xx = Floats(radius)
+        spread.yy = Floats(radius)
+        lit = penumbra_filter_run(views, light_map, receivers, spread, taps, bilinear)
+        visible = keep_without_receiver(receivers, lit)
+    for k in range(wp.min(LANES, visibility_out.shape[1] - x0)):
+        visibility_out[y, x0 + k] = visible[k]
 
 
 class Pcf(Technique):
@@ -99,6 +129,10 @@ class Pcf(Technique):
         light_map = frame.light_map(params.resolution, cull=params.cull)
         taps = pull_taps(frame, params.kernel, params.taps)
         with frame.timed("filter comparisons"):
-            inputs = [gbuffer, light_map, params.device_bias, taps, params.radius, int(params.bilinear)]
-            frame.launch(filter_comparisons, visibility.shape, inputs, [visibility])
+            inputs = [light_map, params.device_bias, taps, params.radius, int(params.bilinear)]
+            if uses_lanes(frame.device):
+                runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
+                frame.launch(filter_comparisons_lanes, runs, [lane_views(gbuffer, light_map), *inputs], [visibility])
+            else:
+                frame.launch(filter_comparisons, visibility.shape, [gbuffer, *inputs], [visibility])
         return visibility

@@ -38,10 +38,12 @@ from wkernels.filtering import (
     pull_taps,
     tap_rotation,
 )
+from wkernels.filtering_lanes import flat_half_axes, pcss_visibility_run, tap_rotation_run
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer, is_back_lit
 from wkernels.geometry import RECEIVES
 from wkernels.light_map import Bias, LightMap, locate_receiver, to_light
+from wkernels.receiver_lanes import LANES, LaneViews, lane_views, locate_run, runs_per_row, uses_lanes
 
 
 @wp.kernel
@@ -75,6 +77,36 @@ def filter_penumbra(
                 )
                 visible = found[0]
     visibility_out[y, x] = visible
+
+
+@wp.kernel
+def filter_penumbra_lanes(
+    first: int,
+    views: LaneViews,
+    light_map: LightMap,
+    footprint: LightFootprint,
+    half_axes: wp.array(dtype=float),
+    bias: Bias,
+    blocker_taps: wp.array(dtype=wp.vec2),
+    filter_taps: wp.array(dtype=wp.vec2),
+    rotate: int,
+    bilinear: int,
+    seed: int,
+    visibility_out: wp.array2d(dtype=float),
+):
+    """``filter_penumbra`` of a run of pixels."""
+    row, column = wp.tid()
+    y = first + row
+    x0 = column * LANES
+    receivers = locate_run(views, light_map, bias, x0, y)
+    visible = receivers.visible
+    if receivers.count > 0:
+        cosine, sine = tap_rotation_run(x0, y, seed, rotate)
+        visible = pcss_visibility_run(
+            views, light_map, footprint, half_axes, receivers, blocker_taps, filter_taps, cosine, sine, bilinear
+        )
+    for k in range(wp.min(LANES, visibility_out.shape[1] - x0)):
+        visibility_out[y, x0 + k] = visible[k]
 
 
 class Pcss(Technique):
@@ -136,6 +168,12 @@ class Pcss(Technique):
         taps = [pull_taps(frame, params.kernel, count) for count in (params.blocker_taps, params.filter_taps)]
         with frame.timed("penumbra filter"):
             options = [int(params.rotate), int(params.bilinear), frame.seed]
-            inputs = [gbuffer, light_map, footprint, params.device_bias, *taps, *options]
-            frame.launch(filter_penumbra, visibility.shape, inputs, [visibility])
+            inputs = [params.device_bias, *taps, *options]
+            if uses_lanes(frame.device):
+                maps = [lane_views(gbuffer, light_map), light_map, footprint, flat_half_axes(footprint)]
+                runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
+                frame.launch(filter_penumbra_lanes, runs, [*maps, *inputs], [visibility])
+            else:
+                maps = [gbuffer, light_map, footprint]
+                frame.launch(filter_penumbra, visibility.shape, [*maps, *inputs], [visibility])
         return visibility

@@ -16,10 +16,12 @@ from __future__ import annotations
 import warp as wp
 
 from algorithms.technique import Limit, MapParams, Technique
+from wkernels.comparison_lanes import compare_nearest_run
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer, is_back_lit
 from wkernels.geometry import RECEIVES
 from wkernels.light_map import Bias, LightMap, compare_nearest, locate_receiver, to_light
+from wkernels.receiver_lanes import LANES, LaneViews, lane_views, locate_run, runs_per_row, uses_lanes
 
 
 @wp.kernel
@@ -39,6 +41,20 @@ def compare_depth(
             if receiver.layer >= 0:
                 visible = compare_nearest(light_map, receiver)
     visibility_out[y, x] = visible
+
+
+@wp.kernel
+def compare_depth_lanes(
+    first: int, views: LaneViews, light_map: LightMap, bias: Bias, visibility_out: wp.array2d(dtype=float)
+):
+    """``compare_depth`` of a run of pixels."""
+    row, column = wp.tid()
+    y = first + row
+    x0 = column * LANES
+    receivers = locate_run(views, light_map, bias, x0, y)
+    visible = compare_nearest_run(views, light_map, receivers)
+    for k in range(wp.min(LANES, visibility_out.shape[1] - x0)):
+        visibility_out[y, x0 + k] = visible[k]
 
 
 class ShadowMap(Technique):
@@ -63,5 +79,10 @@ class ShadowMap(Technique):
             return visibility
         light_map = frame.light_map(self.params.resolution, cull=self.params.cull)
         with frame.timed("compare depth"):
-            frame.launch(compare_depth, visibility.shape, [gbuffer, light_map, self.params.device_bias], [visibility])
+            inputs = [light_map, self.params.device_bias]
+            if uses_lanes(frame.device):
+                runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
+                frame.launch(compare_depth_lanes, runs, [lane_views(gbuffer, light_map), *inputs], [visibility])
+            else:
+                frame.launch(compare_depth, visibility.shape, [gbuffer, *inputs], [visibility])
         return visibility

@@ -1,0 +1,162 @@
+"""The filters of ``filtering.py`` for a run of pixels at a time; see ``receiver_lanes.py`` for how that is written.
+
+Every function does what the one of the same name there does, in the same order of operations.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from wkernels.comparison_lanes import SpreadRun, compare_bilinear_taps, compare_nearest_taps
+from wkernels.filtering import NEAREST_BLOCKER, LightFootprint, tap_rotation
+from wkernels.light_map import LightMap
+from wkernels.receiver_lanes import LANES, Floats, LaneViews, ReceiverRun
+
+
+def flat_half_axes(footprint: LightFootprint) -> wp.array:
+    """``footprint.half_axes`` as float (4 layers,), on the CPU; a view, which must not outlive the footprint."""
+    axes = footprint.half_axes
+    return wp.array(ptr=axes.ptr, dtype=float, shape=4 * axes.shape[0], device="cpu")
+
+
+@wp.func
+def penumbra_ratio_lane(is_point: float, receiver_depth: float, blocker_depth: float):
+    """``penumbra_ratio`` of one lane, 0 where there is no receiver."""
+    behind = wp.max(receiver_depth - blocker_depth, 0.0)
+    nearest = wp.max(blocker_depth, NEAREST_BLOCKER * receiver_depth)
+    return wp.where(is_point > 0.0, behind / wp.where(nearest > 0.0, nearest, 1.0), behind)
+
+
+@wp.func
+def keep_without_receiver(receivers: ReceiverRun, lit: Floats):
+    """``lit`` where a lane has a receiver, and where it has none the visibility that is known without a map."""
+    layers = receivers.layer
+    visible = receivers.visible
+    for k in range(LANES):
+        visible[k] = wp.where(layers[k] >= 0, lit[k], visible[k])
+    return visible
+
+
+@wp.func
+def penumbra_filter_run(
+    views: LaneViews,
+    light_map: LightMap,
+    receivers: ReceiverRun,
+    spread: SpreadRun,
+    taps: wp.array(dtype=wp.vec2),
+    bilinear: int,
+):
+    """``penumbra_filter`` of each lane; lanes without a receiver hold nothing of use."""
+    lit = Floats(0.0)
+    if bilinear != 0:
+        lit = compare_bilinear_taps(views, light_map, receivers, spread, taps)
+    else:
+        lit, _hidden = compare_nearest_taps(views, light_map, receivers, spread, taps)
+    return lit / float(taps.shape[0])
+
+
+@wp.func
+def penumbra_spread_run(resolution: int, is_point: float, receivers: ReceiverRun, axes: SpreadRun, blocker: Floats):
+    """``penumbra_spread`` of each lane for a caster of depth ``blocker``."""
+    size = float(resolution)
+    rise = receivers.rise
+    xx = axes.xx
+    xy = axes.xy
+    yx = axes.yx
+    yy = axes.yy
+    for k in range(LANES):
+        ratio = penumbra_ratio_lane(is_point, rise[k], blocker[k])
+        across = wp.max(wp.abs(xx[k] * ratio), wp.abs(xy[k] * ratio))
+        down = wp.max(wp.abs(yx[k] * ratio), wp.abs(yy[k] * ratio))
+        limit = wp.min(1.0, size / wp.max(wp.max(across, down), 1.0))
+        xx[k] = xx[k] * ratio * limit
+        xy[k] = xy[k] * ratio * limit
+        yx[k] = yx[k] * ratio * limit
+        yy[k] = yy[k] * ratio * limit
+    out = SpreadRun()
+    out.xx = xx
+    out.xy = xy
+    out.yx = yx
+    out.yy = yy
+    return out
+
+
+@wp.func
+def texels_per_ratio_run(half_axes: wp.array(dtype=float), receivers: ReceiverRun, cosine: Floats, sine: Floats):
+    """``texels_per_ratio`` of each lane, its taps turned by the lane's angle."""
+    layers = receivers.layer
+    density_x = receivers.density_x
+    density_y = receivers.density_y
+    xx = Floats(0.0)
+    xy = Floats(0.0)
+    yx = Floats(0.0)
+    yy = Floats(0.0)
+    for k in range(LANES):
+        at = 4 * wp.max(layers[k], 0)
+        a_xx = density_x[k] * half_axes[at]
+        a_xy = density_x[k] * half_axes[at + 1]
+        a_yx = -density_y[k] * half_axes[at + 2]
+        a_yy = -density_y[k] * half_axes[at + 3]
+        xx[k] = a_xx * cosine[k] + a_xy * sine[k]
+        xy[k] = a_xy * cosine[k] - a_xx * sine[k]
+        yx[k] = a_yx * cosine[k] + a_yy * sine[k]
+        yy[k] = a_yy * cosine[k] - a_yx * sine[k]
+    out = SpreadRun()
+    out.xx = xx
+    out.xy = xy
+    out.yx = yx
+    out.yy = yy
+    return out
+
+
+@wp.func
+def pcss_visibility_run(
+    views: LaneViews,
+    light_map: LightMap,
+    footprint: LightFootprint,
+    half_axes: wp.array(dtype=float),
+    receivers: ReceiverRun,
+    blocker_taps: wp.array(dtype=wp.vec2),
+    filter_taps: wp.array(dtype=wp.vec2),
+    cosine: Floats,
+    sine: Floats,
+    bilinear: int,
+):
+    """``pcss_visibility`` of each lane; lanes without a receiver or a blocker keep their visibility.
+
+    ``half_axes`` is ``flat_half_axes(footprint)``; cosine and sine are those of ``tap_rotation``.
+    """
+    layers = receivers.layer
+    visible = receivers.visible
+    nearest_depth = footprint.nearest_depth
+    nearest = Floats(0.0)
+    for k in range(LANES):
+        nearest[k] = nearest_depth[wp.max(layers[k], 0)]
+    axes = texels_per_ratio_run(half_axes, receivers, cosine, sine)
+    search = penumbra_spread_run(light_map.resolution, footprint.is_point, receivers, axes, nearest)
+    lit_taps, blocker = compare_nearest_taps(views, light_map, receivers, search, blocker_taps)
+    all_taps = float(blocker_taps.shape[0])
+    found = int(0)
+    for k in range(LANES):
+        found += wp.where(layers[k] >= 0, wp.where(lit_taps[k] < all_taps, 1, 0), 0)
+        blocker[k] = blocker[k] / wp.max(all_taps - lit_taps[k], 1.0)
+    if found > 0:
+        spread = penumbra_spread_run(light_map.resolution, footprint.is_point, receivers, axes, blocker)
+        lit = penumbra_filter_run(views, light_map, receivers, spread, filter_taps, bilinear)
+        for k in range(LANES):
+            filtered = wp.where(layers[k] >= 0, wp.where(lit_taps[k] < all_taps, 1, 0), 0)
+            visible[k] = wp.where(filtered != 0, lit[k], visible[k])
+    return visible
+
+
+@wp.func
+def tap_rotation_run(x0: int, y: int, seed: int, rotate: int):
+    """(cosine, sine) of ``tap_rotation`` of each lane."""
+    cosine = Floats(1.0)
+    sine = Floats(0.0)
+    if rotate != 0:
+        for k in range(LANES):
+            rotation = tap_rotation(x0 + k, y, seed, rotate)
+            cosine[k] = rotation[0, 0]
+            sine[k] = rotation[1, 0]
+    return cosine, sine
