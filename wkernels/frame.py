@@ -339,11 +339,8 @@ class Session:
         views = self.projection(sample, receivers, casters, resolution, self.eye())
         if light_ws is None or self.light_views is None:
             self.light_views = (views, sample)
-        held_bytes = sum(
-            p.value.depth.size * 4 for k, p in self._products.items() if isinstance(k, tuple) and k[0] == "map"
-        )
         key: Hashable = ("map", slot, resolution, cull, tag_moving_casters)
-        if key not in self._products and held_bytes + 4 * resolution**2 * len(views) > MAP_BUDGET_BYTES:
+        if key not in self._products and self._map_bytes() + 4 * resolution**2 * len(views) > MAP_BUDGET_BYTES:
             key = ("map", "shared", resolution, cull, tag_moving_casters)
         inputs = (self.geometry.version, np.stack([view.ws_to_ss for view in views]).tobytes())
         triangle = self.buffer("map triangles", (resolution, resolution), wp.int32) if tag_moving_casters else None
@@ -353,6 +350,10 @@ class Session:
 
         out: LightMap = self.product("light depth map", key, inputs, build)
         return out
+
+    def _map_bytes(self) -> int:
+        maps = (p.value for key, p in self._products.items() if isinstance(key, tuple) and key[0] == "map")
+        return sum(4 * light_map.depth.size for light_map in maps)
 
     def history(self, name: str, allocate: Callable[[], Any], margin: tuple[int, int] = (0, 0)) -> History:
         """Two buffers made by ``allocate``, and the eye's view when the previous one was written."""

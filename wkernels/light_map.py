@@ -42,6 +42,7 @@ class Receiver:
     """A receiver point in a map, with the plane through it."""
 
     layer: int  # -1 where no layer covers the point
+    visible: float  # visibility that needs no comparison, where the layer is -1
     x: float  # texels
     y: float
     depth: float  # linear, scene units, bias included
@@ -152,6 +153,7 @@ def locate_receiver(light_map: LightMap, bias: Bias, position_ws: wp.vec3, norma
     result = Receiver()
     here = locate(light_map, position_ws)
     result.layer = int(here[3])
+    result.visible = 1.0  # outside the map is lit
     if result.layer < 0:
         return result
     density = texels_per_length(light_map, result.layer, position_ws)

@@ -27,10 +27,10 @@ from wkernels.comparison_lanes import SpreadRun
 from wkernels.filtering import check_tap_count, penumbra_filter, pull_taps
 from wkernels.filtering_lanes import keep_without_receiver, penumbra_filter_run
 from wkernels.frame import Session as Frame
-from wkernels.gbuffer import GBuffer, is_back_lit
-from wkernels.geometry import RECEIVES
-from wkernels.light_map import Bias, LightMap, locate_receiver, to_light
+from wkernels.gbuffer import GBuffer
+from wkernels.light_map import Bias, LightMap
 from wkernels.receiver_lanes import LANES, Floats, LaneViews, lane_views, locate_run, runs_per_row, uses_lanes
+from wkernels.receivers import receiver_of_pixel
 
 
 @wp.kernel
@@ -47,16 +47,11 @@ def filter_comparisons(
     """The same kernel around every pixel's receiver."""
     row, x = wp.tid()
     y = first + row
-    visible = float(1.0)
-    if (gbuffer.flags[y, x] & RECEIVES) != 0:
-        position_ws = gbuffer.position_ws[y, x]
-        if is_back_lit(gbuffer, y, x, to_light(light_map.light_ws, position_ws)):
-            visible = 0.0
-        else:
-            receiver = locate_receiver(light_map, bias, position_ws, gbuffer.normal_ws[y, x])
-            if receiver.layer >= 0:
-                spread = wp.mat22(radius, 0.0, 0.0, radius)
-                visible = penumbra_filter(light_map, receiver, spread, taps, bilinear)
+    receiver = receiver_of_pixel(gbuffer, light_map, bias, y, x)
+    visible = receiver.visible
+    if receiver.layer >= 0:
+        spread = wp.mat22(radius, 0.0, 0.0, radius)
+        visible = penumbra_filter(light_map, receiver, spread, taps, bilinear)
     visibility_out[y, x] = visible
 
 

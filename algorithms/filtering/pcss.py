@@ -40,10 +40,10 @@ from wkernels.filtering import (
 )
 from wkernels.filtering_lanes import flat_half_axes, pcss_visibility_run, tap_rotation_run
 from wkernels.frame import Session as Frame
-from wkernels.gbuffer import GBuffer, is_back_lit
-from wkernels.geometry import RECEIVES
-from wkernels.light_map import Bias, LightMap, locate_receiver, to_light
+from wkernels.gbuffer import GBuffer
+from wkernels.light_map import Bias, LightMap
 from wkernels.receiver_lanes import LANES, LaneViews, lane_views, locate_run, runs_per_row, uses_lanes
+from wkernels.receivers import receiver_of_pixel
 
 
 @wp.kernel
@@ -63,19 +63,14 @@ def filter_penumbra(
     """Blocker search, penumbra width and filter of each pixel."""
     row, x = wp.tid()
     y = first + row
-    visible = float(1.0)
-    if (gbuffer.flags[y, x] & RECEIVES) != 0:
-        position_ws = gbuffer.position_ws[y, x]
-        if is_back_lit(gbuffer, y, x, to_light(light_map.light_ws, position_ws)):
-            visible = 0.0
-        else:
-            receiver = locate_receiver(light_map, bias, position_ws, gbuffer.normal_ws[y, x])
-            if receiver.layer >= 0:
-                rotation = tap_rotation(x, y, seed, rotate)
-                found = pcss_visibility(
-                    light_map, footprint, receiver, position_ws, blocker_taps, filter_taps, rotation, bilinear
-                )
-                visible = found[0]
+    receiver = receiver_of_pixel(gbuffer, light_map, bias, y, x)
+    visible = receiver.visible
+    if receiver.layer >= 0:
+        rotation = tap_rotation(x, y, seed, rotate)
+        found = pcss_visibility(
+            light_map, footprint, receiver, gbuffer.position_ws[y, x], blocker_taps, filter_taps, rotation, bilinear
+        )
+        visible = found[0]
     visibility_out[y, x] = visible
 
 

@@ -38,10 +38,10 @@ from wkernels.filtering import (
     texels_per_ratio,
 )
 from wkernels.frame import Session as Frame
-from wkernels.gbuffer import GBuffer, is_back_lit
-from wkernels.geometry import RECEIVES
-from wkernels.light_map import Bias, LightMap, locate_receiver, to_light
+from wkernels.gbuffer import GBuffer
+from wkernels.light_map import Bias, LightMap
 from wkernels.moments import Chebyshev, depth_range, find_moments, lit_share, normalised, sample_bilinear
+from wkernels.receivers import receiver_of_pixel
 from wkernels.summed_area import box_mean, summed_area_table
 
 
@@ -58,16 +58,11 @@ def look_up_blurred(
     """One bilinear lookup of filtered moments per pixel."""
     row, x = wp.tid()
     y = first + row
-    visible = float(1.0)
-    if (gbuffer.flags[y, x] & RECEIVES) != 0:
-        position_ws = gbuffer.position_ws[y, x]
-        if is_back_lit(gbuffer, y, x, to_light(light_map.light_ws, position_ws)):
-            visible = 0.0
-        else:
-            receiver = locate_receiver(light_map, bias, position_ws, gbuffer.normal_ws[y, x])
-            if receiver.layer >= 0:
-                mean = sample_bilinear(moments, receiver.layer, receiver.x, receiver.y)
-                visible = lit_share(chebyshev, mean, normalised(chebyshev, receiver.depth))
+    receiver = receiver_of_pixel(gbuffer, light_map, bias, y, x)
+    visible = receiver.visible
+    if receiver.layer >= 0:
+        mean = sample_bilinear(moments, receiver.layer, receiver.x, receiver.y)
+        visible = lit_share(chebyshev, mean, normalised(chebyshev, receiver.depth))
     visibility_out[y, x] = visible
 
 
@@ -86,31 +81,26 @@ def look_up_penumbra(
     """Blocker search, then the mean moments over the box that has the penumbra's second moments."""
     row, x = wp.tid()
     y = first + row
-    visible = float(1.0)
-    if (gbuffer.flags[y, x] & RECEIVES) != 0:
-        position_ws = gbuffer.position_ws[y, x]
-        if is_back_lit(gbuffer, y, x, to_light(light_map.light_ws, position_ws)):
-            visible = 0.0
-        else:
-            receiver = locate_receiver(light_map, bias, position_ws, gbuffer.normal_ws[y, x])
-            if receiver.layer >= 0:
-                axes = texels_per_ratio(light_map, footprint, receiver.layer, position_ws)
-                nearest = footprint.nearest_depth[receiver.layer]
-                search = penumbra_spread(light_map, footprint, receiver, axes, nearest)
-                blocker = mean_blocker_depth(light_map, receiver, search, blocker_taps)
-                if blocker[1] > 0.0:
-                    spread = penumbra_spread(light_map, footprint, receiver, axes, blocker[0])
-                    # one texel at least: less would be an unfiltered map
-                    half_x = wp.max(wp.length(wp.vec2(spread[0, 0], spread[0, 1])), 0.5)
-                    half_y = wp.max(wp.length(wp.vec2(spread[1, 0], spread[1, 1])), 0.5)
-                    mean = box_mean(
-                        tables[receiver.layer],
-                        receiver.x - half_x,
-                        receiver.y - half_y,
-                        receiver.x + half_x,
-                        receiver.y + half_y,
-                    )
-                    visible = lit_share(chebyshev, mean, normalised(chebyshev, receiver.depth))
+    receiver = receiver_of_pixel(gbuffer, light_map, bias, y, x)
+    visible = receiver.visible
+    if receiver.layer >= 0:
+        axes = texels_per_ratio(light_map, footprint, receiver.layer, gbuffer.position_ws[y, x])
+        nearest = footprint.nearest_depth[receiver.layer]
+        search = penumbra_spread(light_map, footprint, receiver, axes, nearest)
+        blocker = mean_blocker_depth(light_map, receiver, search, blocker_taps)
+        if blocker[1] > 0.0:
+            spread = penumbra_spread(light_map, footprint, receiver, axes, blocker[0])
+            # one texel at least: less would be an unfiltered map
+            half_x = wp.max(wp.length(wp.vec2(spread[0, 0], spread[0, 1])), 0.5)
+            half_y = wp.max(wp.length(wp.vec2(spread[1, 0], spread[1, 1])), 0.5)
+            mean = box_mean(
+                tables[receiver.layer],
+                receiver.x - half_x,
+                receiver.y - half_y,
+                receiver.x + half_x,
+                receiver.y + half_y,
+            )
+            visible = lit_share(chebyshev, mean, normalised(chebyshev, receiver.depth))
     visibility_out[y, x] = visible
 
 

@@ -18,10 +18,10 @@ import warp as wp
 from algorithms.technique import Limit, MapParams, Technique
 from wkernels.comparison_lanes import compare_nearest_run
 from wkernels.frame import Session as Frame
-from wkernels.gbuffer import GBuffer, is_back_lit
-from wkernels.geometry import RECEIVES
-from wkernels.light_map import Bias, LightMap, compare_nearest, locate_receiver, to_light
+from wkernels.gbuffer import GBuffer
+from wkernels.light_map import Bias, LightMap, compare_nearest
 from wkernels.receiver_lanes import LANES, LaneViews, lane_views, locate_run, runs_per_row, uses_lanes
+from wkernels.receivers import receiver_of_pixel
 
 
 @wp.kernel
@@ -31,15 +31,10 @@ def compare_depth(
     """One depth comparison per pixel."""
     row, x = wp.tid()
     y = first + row
-    visible = float(1.0)
-    if (gbuffer.flags[y, x] & RECEIVES) != 0:
-        position_ws = gbuffer.position_ws[y, x]
-        if is_back_lit(gbuffer, y, x, to_light(light_map.light_ws, position_ws)):
-            visible = 0.0
-        else:
-            receiver = locate_receiver(light_map, bias, position_ws, gbuffer.normal_ws[y, x])
-            if receiver.layer >= 0:
-                visible = compare_nearest(light_map, receiver)
+    receiver = receiver_of_pixel(gbuffer, light_map, bias, y, x)
+    visible = receiver.visible
+    if receiver.layer >= 0:
+        visible = compare_nearest(light_map, receiver)
     visibility_out[y, x] = visible
 
 
