@@ -1,0 +1,35 @@
+"""What the tests of the filters share: sessions on the device under test, rendered by name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from algorithms.plugins import find
+from wkernels.frame import FrameResult, Session
+from wkernels.geometry import Geometry
+from wkernels.lights import (
+    PointLight,
+)
+from wkernels.scene import Scene
+
+INSIDE = PointLight(position=np.array([0.2, 3.2, 1.5]))  # among the casters of `cluttered`: six faces
+AREA_KINDS = ("directional", "rectangle", "disc", "sphere", "linear", "polygon")
+TECHNIQUES = (("pcf", {}), ("pcss", {}), ("vsm", {}), ("vsm", {"width": "pcss"}))
+
+OPTIONS: dict[str, Any] = {}
+"""What every session here is opened with; ``conftest.py`` puts the device in."""
+
+
+def render(scene: Scene, name: str, *, size: tuple[int, int] = (64, 48), **params: Any) -> FrameResult:
+    return session(scene, size=size).render(technique(name, **params))
+
+
+def technique(name: str, **params: Any) -> Any:
+    plugin = find(name)
+    return plugin(plugin.Params(**params))
+
+
+def session(scene: Scene, *, size: tuple[int, int] = (64, 48), **options: Any) -> Session:
+    return Session(Geometry(scene, OPTIONS["device"]), width=size[0], height=size[1], **OPTIONS, **options)

@@ -1,0 +1,140 @@
+"""Moments of depth: bounds against closed forms and NumPy twins, and the light that they leak."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import small_scenes as small
+import warp as wp
+from filtering_sessions import render
+
+from wkernels.launch import launch
+from wkernels.moments import Chebyshev, depth_range, find_moments, lit_share, sample_bilinear
+
+
+@wp.kernel
+def run_lit_share(
+    first: int,
+    chebyshev: Chebyshev,
+    moments: wp.array(dtype=wp.vec2),
+    depth: wp.array(dtype=float),
+    share_out: wp.array(dtype=float),
+):
+    i = first + wp.tid()
+    share_out[i] = lit_share(chebyshev, moments[i], depth[i])
+
+
+def chebyshev_of(near: float, far: float, min_variance: float = 1e-9, bleeding: float = 0.0) -> Chebyshev:
+    out = Chebyshev()
+    out.near, out.per_length, out.min_variance, out.bleeding = near, 1.0 / (far - near), min_variance, bleeding
+    return out
+
+
+def lit_shares(samples: list[np.ndarray], depth: np.ndarray, chebyshev: Chebyshev, device: str) -> np.ndarray:
+    """``lit_share`` of sets of depths, each seen from one receiver depth (scene units)."""
+    scaled = [(z - chebyshev.near) * chebyshev.per_length - 0.5 for z in samples]
+    moments = np.array([(z.mean(), (z * z).mean()) for z in scaled], np.float32)
+    t = ((depth - chebyshev.near) * chebyshev.per_length - 0.5).astype(np.float32)
+    out = wp.zeros(len(t), dtype=float, device=device)
+    inputs = [wp.array(moments, dtype=wp.vec2, device=device), wp.array(t, dtype=float, device=device)]
+    launch(run_lit_share, len(t), [chebyshev, *inputs], [out], device=device)
+    return out.numpy()
+
+
+def test_two_planes_give_the_exact_share(device: str) -> None:
+    lit = np.arange(1, 20)
+    samples = [np.repeat([2.0, 7.0], [20 - k, k]) for k in lit]
+    np.testing.assert_allclose(
+        lit_shares(samples, np.full(len(lit), 7.0), chebyshev_of(1.0, 9.0), device), lit / 20, rtol=1e-4
+    )
+
+
+def test_light_bleeds_as_the_closed_form_says(device: str) -> None:
+    depth = np.array([6.01, 7.0, 10.0])
+    bleed = lit_shares([np.array([2.0, 6.0])] * 3, depth, chebyshev_of(0.0, 12.0), device)
+    np.testing.assert_allclose(bleed, 1.0 / (1.0 + (1.0 + 2.0 * (depth - 6.0) / 4.0) ** 2), rtol=1e-4)
+    np.testing.assert_allclose(bleed, [0.498, 0.308, 0.100], atol=1e-3)
+    cut = lit_shares([np.array([2.0, 6.0])] * 3, depth, chebyshev_of(0.0, 12.0, bleeding=0.3), device)
+    np.testing.assert_allclose(cut, np.maximum(bleed - 0.3, 0.0) / 0.7, rtol=1e-4, atol=1e-6)
+
+
+def test_the_bound_is_never_below_the_share_that_is_lit(device: str) -> None:
+    rng = np.random.default_rng(3)
+    samples = [rng.choice(rng.uniform(1.0, 9.0, 4), 25) for _ in range(200)]
+    depth = rng.uniform(1.0, 9.0, 200)
+    share = lit_shares(samples, depth, chebyshev_of(1.0, 9.0), device)
+    truth = np.array([np.mean(z >= t) for z, t in zip(samples, depth, strict=True)])
+    assert (share >= truth - 1e-4).all() and (share <= 1.0).all()
+    assert np.mean(share > truth + 0.05) > 0.2  # and it is a bound, not the share
+
+
+@pytest.mark.parametrize("slope", [False, True])
+def test_moments_agree_with_numpy(slope: bool, device: str) -> None:
+    rng = np.random.default_rng(8)
+    near, far = 1e4, 1e4 + 10.0
+    depth = rng.uniform(near, far, (2, 17, 17)).astype(np.float32)
+    depth[:, 3:6, 4] = np.inf
+    out = wp.zeros((17, 17), dtype=wp.vec2, device=device)
+    layers = wp.array(depth, dtype=float, device=device)
+    launch(find_moments, (17, 17), [layers, chebyshev_of(near, far), int(slope), 1], [out], device=device)
+    z = np.minimum((depth[1].astype(float) - near) / (far - near), 1.0) - 0.5
+    square = z * z
+    if slope:
+        padded = np.pad(z, 1, mode="edge")
+        for a, b in ((padded[1:-1, :-2], padded[1:-1, 2:]), (padded[:-2, 1:-1], padded[2:, 1:-1])):
+            square = square + 0.25 * np.minimum(np.abs(z - a), np.abs(b - z)) ** 2
+    np.testing.assert_allclose(out.numpy()[..., 0], z, atol=1e-6)
+    np.testing.assert_allclose(out.numpy()[..., 1], square, atol=1e-6)
+
+
+def test_normalised_moments_keep_small_variances(device: str) -> None:
+    """At depth 10^4, z^2 has an ulp of 8 in float32; of a variance of 1e-3 nothing would be left."""
+    z = 1e4 + np.array([-1.0, 1.0]) * np.sqrt(1e-3)
+    near, far = 1e4 - 1.0, 1e4 + 1.0
+    share = lit_shares([z], np.array([1e4 + 0.1]), chebyshev_of(near, far, min_variance=1e-12), device)
+    assert share[0] == pytest.approx(1e-3 / (1e-3 + 0.1**2), rel=2e-3)
+
+
+@wp.kernel
+def run_bilinear(
+    first: int, image: wp.array3d(dtype=wp.vec2), at: wp.array(dtype=wp.vec2), value_out: wp.array(dtype=wp.vec2)
+):
+    i = first + wp.tid()
+    value_out[i] = sample_bilinear(image, 1, at[i][0], at[i][1])
+
+
+def test_bilinear_lookup_agrees_with_numpy(device: str) -> None:
+    rng = np.random.default_rng(2)
+    image = rng.random((2, 9, 9, 2)).astype(np.float32)
+    at = rng.uniform(0.0, 9.0, (200, 2)).astype(np.float32)
+    out = wp.zeros(200, dtype=wp.vec2, device=device)
+    inputs = [wp.array(image, dtype=wp.vec2, device=device), wp.array(at, dtype=wp.vec2, device=device)]
+    launch(run_bilinear, 200, inputs, [out], device=device)
+    corner = np.floor(at - 0.5).astype(int)
+    f = at - 0.5 - corner
+    (x0, y0), (x1, y1) = np.clip(corner, 0, 8).T, np.clip(corner + 1, 0, 8).T
+    upper = image[1, y0, x0] * (1 - f[:, :1]) + image[1, y0, x1] * f[:, :1]
+    lower = image[1, y1, x0] * (1 - f[:, :1]) + image[1, y1, x1] * f[:, :1]
+    np.testing.assert_allclose(out.numpy(), upper * (1 - f[:, 1:]) + lower * f[:, 1:], atol=1e-6)
+
+
+def test_depth_range_spans_the_box_in_front_of_the_light() -> None:
+    corners = np.array([(x, y, z) for x in (-1.0, 1.0) for y in (2.0, 3.0) for z in (-1.0, 1.0)])
+    down = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 10.0], [0, 0, 0, 1.0]])
+    away = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, 1.0, 0, -10.0], [0, 0, 0, 1.0]])
+    assert depth_range(down[None], corners) == pytest.approx((7.0, 8.0))
+    assert depth_range(np.stack([down, away]), corners) == pytest.approx((0.0, 8.0))
+    near, far = depth_range(away[None], corners)
+    assert near == 0.0 and far > near
+
+
+def test_vsm_is_lighter_where_casters_overlap() -> None:
+    low = small.mesh("low", small.plane(3.0, y=1.0), receives=False)
+    high = small.mesh("high", small.plane(3.0, y=6.0, centre=(1.4, 0.0)), receives=False)
+    scene = small.scene([small.mesh("ground", small.plane(12.0)), low, high], small.light("rectangle"))
+    truth = render(scene, "reference_multisample", samples=64).visibility
+    leaking = render(scene, "vsm", width="pcss").visibility - truth
+    cut = render(scene, "vsm", width="pcss", bleeding=0.4).visibility - truth
+    umbra = truth == 0.0
+    assert np.mean(leaking[umbra]) > 0.005 and np.nanmean(leaking) > 0.0
+    assert np.mean(cut[umbra]) < 0.2 * np.mean(leaking[umbra])
