@@ -19,7 +19,7 @@ from wkernels.workers import Team, available_cpus
 TILES_PER_THREAD = 6  # enough for uneven tiles to even out, few enough that the cost of launching stays small
 SHORTEST_TILE_S = 20e-6
 WORTH_SHARING_S = 60e-6
-"""A shorter launch runs on the calling thread, as handing a part of it over costs 20 to 40 us. 0 shares every launch."""
+"""A shorter launch runs on the calling thread, as handing a part of it over costs 10 to 20 us. 0 shares all."""
 _cell_s: dict[tuple[wp.Kernel, int], float | None] = {}
 """How long a cell takes on one thread, by kernel and binary order of magnitude of the grid; None after one launch,
 which may have compiled. It decides who runs a launch, never what is computed."""

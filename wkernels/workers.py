@@ -64,7 +64,8 @@ _TAKE_TILES = f"""
     }}
 #endif
 """)
-def offer_and_work(words: wp.array(dtype=wp.int64), job: int, spins: int): ...
+def offer_and_work(words: wp.array(dtype=wp.int64), job: int, spins: int):
+    """``offer``, on the CPU."""
 
 
 @wp.func_native(f"""
@@ -86,7 +87,8 @@ def offer_and_work(words: wp.array(dtype=wp.int64), job: int, spins: int): ...
     }}
 #endif
 """)
-def serve_until_idle(words: wp.array(dtype=wp.int64), me: int, spins: int): ...
+def serve_until_idle(words: wp.array(dtype=wp.int64), me: int, spins: int):
+    """``serve``, on the CPU."""
 
 
 @wp.kernel
@@ -113,7 +115,7 @@ class Team:
         self._lock = threading.Lock()
         self._workers: list[_Worker] = []
         self._cpus = available_cpus()
-        self._job = 0
+        self.job = 0  # the number of the newest launch
 
     def run(self, command: wp.Launch, rows: int, threads: int) -> None:
         """Runs a recorded launch over ``rows``, a tile at a time, on the calling thread and ``threads - 1`` workers.
@@ -128,7 +130,7 @@ class Team:
             if not self._workers:
                 self._start()
             while len(self._workers) < threads - 1:
-                self._workers.append(_Worker(self._memory, len(self._workers) + 1))
+                self._workers.append(_Worker(self, self._memory, len(self._workers) + 1))
             tile = command.bounds.shape[0]
             bounds, last = command.bounds, _resized(command.bounds, rows % tile or tile)
             arguments = _arguments(command)
@@ -138,12 +140,12 @@ class Team:
             words[_TILE], words[_ROWS], words[_THREADS] = tile, rows, threads
             words[_BOUNDS], words[_LAST_BOUNDS] = ctypes.addressof(bounds), ctypes.addressof(last)
             words[_ARGUMENTS : _ARGUMENTS + threads] = [ctypes.addressof(a) for a in each]
-            self._job = self._job % 2**30 + 1
+            self.job = self.job % 2**30 + 1
             # spinning threads beyond the CPUs would only keep others from working
             spins = self._spins if threads <= self._cpus else 0
             for worker in self._workers[: threads - 1]:
                 worker.wake(spins)
-            self._offer.set_param_at_index(1, self._job)
+            self._offer.set_param_at_index(1, self.job)
             self._offer.launch()
             while words[_ACTIVE]:  # a worker that the system has put aside for longer than the caller spins
                 time.sleep(20e-6)
@@ -169,24 +171,29 @@ class Team:
 class _Worker:
     """One thread: in native code while jobs come, asleep when they do not."""
 
-    def __init__(self, memory: wp.array, me: int) -> None:
+    def __init__(self, team: Team, memory: wp.array, me: int) -> None:
+        self._team = team
         self._serve = wp.launch(serve, dim=1, inputs=[memory, me, 0], device="cpu", record_cmd=True)
         self._asleep, self._wake, self._spins = False, threading.Semaphore(0), 1
         threading.Thread(target=self._work, daemon=True, name=f"wkernels-{me}").start()
 
     def wake(self, spins: int) -> None:
-        """Makes sure that it will look for the next job; if it comes too late the others have done the work."""
+        """Makes sure that it will look for the job just numbered; if it is late the others have done the work."""
         self._spins = max(spins, 1)
         if self._asleep:
-            self._asleep = False
             self._wake.release()
 
     def _work(self) -> None:
         while True:
+            job = self._team.job
             self._serve.set_param_at_index(2, self._spins)
             self._serve.launch()
+            # In this order, as ``wake`` comes after the job's number: one of both sees what the other did. A worker
+            # that waited for the GIL while a job was prepared must not fall asleep over it.
             self._asleep = True
-            self._wake.acquire()
+            if self._team.job == job:
+                self._wake.acquire()
+            self._asleep = False
 
 
 _structs: dict[tuple[wp.Kernel, tuple[type, ...]], type[ctypes.Structure]] = {}
