@@ -8,6 +8,7 @@ the number of threads.
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Sequence
@@ -20,9 +21,9 @@ TILES_PER_THREAD = 6  # enough for uneven tiles to even out, few enough that the
 SHORTEST_TILE_S = 20e-6
 WORTH_SHARING_S = 60e-6
 """A shorter launch runs on the calling thread, as handing a part of it over costs 10 to 20 us. 0 shares all."""
-_cell_s: dict[tuple[wp.Kernel, int], float | None] = {}
-"""How long a cell takes on one thread, by kernel and binary order of magnitude of the grid; None after one launch,
-which may have compiled. It decides who runs a launch, never what is computed."""
+_cell_s: dict[tuple[wp.Kernel, int], float] = {}
+"""How long a cell takes on one thread, by kernel and binary order of magnitude of the grid; decides who runs a launch,
+never what is computed."""
 
 
 def default_threads() -> int:
@@ -72,20 +73,21 @@ def launch(
     threads = default_threads() if threads is None else threads
     rows = shape[0]
     key = (kernel, cells.bit_length())
-    known = _cell_s.get(key)
-    expected_s = (known or 0.0) * cells
+    # recording compiles if it must, which has no part in the time taken
+    command = wp.launch(kernel, dim=shape, inputs=arguments, device="cpu", record_cmd=True)
+    expected_s = _cell_s[key] * cells if key in _cell_s else math.inf
     begin = time.perf_counter()
     if threads <= 1 or rows == 1 or (WORTH_SHARING_S > 0.0 and expected_s < WORTH_SHARING_S):
-        wp.launch(kernel, dim=shape, inputs=arguments, device="cpu")
-        _cell_s[key] = (time.perf_counter() - begin) / cells if key in _cell_s else None
+        command.launch()
+        _cell_s[key] = (time.perf_counter() - begin) / cells
         return
     if tile is None:
         tiles = threads * TILES_PER_THREAD
         if WORTH_SHARING_S > 0.0:
-            tiles = max(threads, min(tiles, int(expected_s / SHORTEST_TILE_S)))
+            tiles = max(threads, int(min(tiles, expected_s / SHORTEST_TILE_S)))
         tile = -(-rows // tiles)
     workers = min(threads, -(-rows // tile))
-    recorded = wp.launch(kernel, dim=(tile, *shape[1:]), inputs=arguments, device="cpu", record_cmd=True)
-    _team.run(recorded, rows, workers)
+    command.set_dim((min(tile, rows), *shape[1:]))
+    _team.run(command, rows, workers)
     spent_s = (time.perf_counter() - begin) * workers / cells
-    _cell_s[key] = spent_s if not known else min(known, spent_s)
+    _cell_s[key] = min(_cell_s.get(key, spent_s), spent_s)

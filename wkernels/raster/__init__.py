@@ -19,6 +19,7 @@ from typing import Literal
 import numpy as np
 import warp as wp
 
+from wkernels.raster.lane_bands import PIECE
 from wkernels.raster.lanes import MAX_TRIANGLES, LaneRasteriser, projection_kind
 from wkernels.raster.scratch import Scratch
 from wkernels.raster.stripes import draw_stripes
@@ -77,8 +78,9 @@ class Rasteriser:
         """
         on_cpu = wp.get_device(self.device).is_cpu
         count = len(indices) // 3
-        if on_cpu and self.path == "lanes" and count < MAX_TRIANGLES and depth_out.is_contiguous:
-            if (kind := projection_kind(view)) is not None:
+        if on_cpu and self.path == "lanes" and count < MAX_TRIANGLES and view.width >= PIECE:
+            whole = depth_out.is_contiguous and (triangle_out is None or triangle_out.is_contiguous)
+            if whole and (kind := projection_kind(view)) is not None:
                 self._lanes.draw(points_ws, indices, view, kind, depth_out, triangle_out, cull)
                 return
         triangles, total = self._project(points_ws, indices, view, cull)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.raster.lane_culling import SMALL, edge_32, first_centre, last_centre
+from wkernels.raster.lane_culling import SMALL, column_of, edge_32, first_centre, last_centre, row_of
 from wkernels.raster.triangles import (
     CULL_BACK,
     CULL_FRONT,
@@ -26,6 +26,7 @@ HUGE = wp.constant(1.0e38)
 Ints = wp.types.vector(length=LANES, dtype=wp.int32)
 Floats = wp.types.vector(length=LANES, dtype=wp.float32)
 Piece = wp.types.vector(length=PIECE, dtype=wp.float32)
+IntPiece = wp.types.vector(length=PIECE, dtype=wp.int32)
 
 
 @wp.func
@@ -56,15 +57,17 @@ def add_row(low: wp.int64, step: wp.int64, span: wp.vec2i):
 
 @wp.struct
 class Target:
-    """What one band is drawn into: rows of ``pitch`` floats, of which pieces may start anywhere."""
+    """The images that are drawn into, at least a piece wide. They hold keys and, as floats, triangles until the end."""
 
-    key: wp.array(dtype=float)
+    key: wp.array(dtype=float)  # flat (H W,)
     key_piece: wp.array(dtype=Piece)  # the same memory, a piece from every float on
     triangle: wp.array(dtype=float)
     triangle_piece: wp.array(dtype=Piece)
+    triangle_out: wp.array(dtype=int)  # the same memory as integers
+    triangle_out_piece: wp.array(dtype=IntPiece)
     with_triangles: int
-    pitch: int
     width: int
+    height: int
 
 
 @wp.func
@@ -82,8 +85,8 @@ def draw_piece(target: Target, at: int, key: Piece, triangle: Piece):
 def draw_wide(
     target: Target,
     corners: wp.array(dtype=int),
-    column: wp.array(dtype=int),
-    row: wp.array(dtype=int),
+    corner_pitch: int,
+    vertex: wp.array(dtype=wp.int64),
     key: wp.array(dtype=float),
     t: int,
     triangle: float,
@@ -92,15 +95,15 @@ def draw_wide(
     steps: Piece,
 ):
     """Draws a triangle of any size within ``box`` (x0, y0, x1, y1), row by row between its exact borders."""
-    a = corners[3 * t]
-    b = corners[3 * t + 1]
-    c = corners[3 * t + 2]
-    ax = wp.int64(column[a])
-    ay = wp.int64(row[a])
-    bx = wp.int64(column[b])
-    by = wp.int64(row[b])
-    cx = wp.int64(column[c])
-    cy = wp.int64(row[c])
+    a = corners[t]
+    b = corners[corner_pitch + t]
+    c = corners[2 * corner_pitch + t]
+    ax = wp.int64(column_of(vertex[a]))
+    ay = wp.int64(row_of(vertex[a]))
+    bx = wp.int64(column_of(vertex[b]))
+    by = wp.int64(row_of(vertex[b]))
+    cx = wp.int64(column_of(vertex[c]))
+    cy = wp.int64(row_of(vertex[c]))
     key_a = wp.float64(key[a])
     key_b = wp.float64(key[b])
     key_c = wp.float64(key[c])
@@ -145,7 +148,7 @@ def draw_wide(
         # in double up to each piece: what 8 pixels add in float stays below the rounding of the key
         value = (wp.float64(e_a) * key_a + wp.float64(e_b) * key_b + wp.float64(e_c) * key_c) * over_area
         value += wp.float64(span[0]) * slope
-        at = y_px * target.pitch + box[0] + span[0]
+        at = y_px * target.width + box[0] + span[0]
         for _piece in range(wp.max(count, 0) / PIECE):
             draw_piece(target, at, wp.min(wp.max(rise + Piece(float(value)), low_piece), high_piece), triangle_piece)
             value += PIECE_64 * slope
@@ -162,37 +165,36 @@ def draw_wide(
 def draw_band(
     first: int,
     corners: wp.array(dtype=int),
-    column: wp.array(dtype=int),
-    row: wp.array(dtype=int),
+    corner_pitch: int,
+    vertex: wp.array(dtype=wp.int64),
     key: wp.array(dtype=float),
     clip_triangle: wp.array(dtype=int),
-    triangles: int,
+    first_clipped: int,
     band_begin: wp.array(dtype=int),
     band_list: wp.array(dtype=int),
     band_rows: int,
-    height: int,
     far: float,
     perspective: int,
     cull: int,
     steps: Piece,
     target: Target,
-    depth_piece: wp.array(dtype=Piece),
-    depth_out: wp.array2d(dtype=float),
-    triangle_out: wp.array2d(dtype=int),
 ):
-    """Clears one band of rows, draws its triangles, and turns keys into depths."""
+    """Clears one band of rows, draws its triangles, and turns keys into depths and floats into triangle numbers."""
     band = first + wp.tid()
-    pitch = target.pitch
+    width = target.width
     top = band * band_rows
-    bottom = wp.min(top + band_rows, height) - 1
+    bottom = wp.min(top + band_rows, target.height) - 1
+    begin = top * width
+    end = (bottom + 1) * width
+    last_piece = end - PIECE  # a band is at least a piece wide; clearing some pixels twice does no harm
     background = wp.where(perspective == 1, 0.0, FAR_KEY)
     clear = Piece(background)
     nothing = Piece(-1.0)
-    for at in range(top * pitch, (bottom + 1) * pitch, PIECE):
-        target.key_piece[at] = clear
+    for at in range(begin, end, PIECE):
+        target.key_piece[wp.min(at, last_piece)] = clear
     if target.with_triangles != 0:
-        for at in range(top * pitch, (bottom + 1) * pitch, PIECE):
-            target.triangle_piece[at] = nothing
+        for at in range(begin, end, PIECE):
+            target.triangle_piece[wp.min(at, last_piece)] = nothing
     e_a = Floats(0.0)
     e_b = Floats(0.0)
     e_c = Floats(0.0)
@@ -218,15 +220,18 @@ def draw_band(
     for i0 in range(band_begin[band], list_end, LANES):
         for k in range(LANES):
             t = band_list[wp.min(i0 + k, list_end - 1)]
-            a = corners[3 * t]
-            b = corners[3 * t + 1]
-            c = corners[3 * t + 2]
-            ax = column[a]
-            ay = row[a]
-            b_x = column[b]
-            b_y = row[b]
-            c_x = column[c]
-            c_y = row[c]
+            a = corners[t]
+            b = corners[corner_pitch + t]
+            c = corners[2 * corner_pitch + t]
+            vertex_a = vertex[a]
+            vertex_b = vertex[b]
+            vertex_c = vertex[c]
+            ax = column_of(vertex_a)
+            ay = row_of(vertex_a)
+            b_x = column_of(vertex_b)
+            b_y = row_of(vertex_b)
+            c_x = column_of(vertex_c)
+            c_y = row_of(vertex_c)
             area = edge_32(ax, ay, b_x, b_y, c_x, c_y)
             swap = wp.where(area < 0, 1, 0)
             bx = wp.where(swap == 1, c_x, b_x)
@@ -270,15 +275,15 @@ def draw_band(
             by_b[k] = key_b * (over_area * float(SUBPIXELS))
             by_c[k] = key_c * (over_area * float(SUBPIXELS))
             x0[k] = left
-            x1[k] = wp.min(last_centre(high_x), target.width - 1)
+            x1[k] = wp.min(last_centre(high_x), width - 1)
             y0[k] = upper
             y1[k] = wp.min(last_centre(high_y), bottom)
             wide[k] = wp.where(wp.max(high_x - low_x, high_y - low_y) > SMALL, 1, 0)
-            name[k] = float(wp.where(t < triangles, t, clip_triangle[wp.max(t - triangles, 0)]))
+            name[k] = float(wp.where(t < first_clipped, t, clip_triangle[wp.max(t - first_clipped, 0)]))
         for k in range(wp.min(LANES, list_end - i0)):
             if wide[k] != 0:
                 box = wp.vec4i(x0[k], y0[k], x1[k], y1[k])
-                draw_wide(target, corners, column, row, key, band_list[i0 + k], name[k], box, cull, steps)
+                draw_wide(target, corners, corner_pitch, vertex, key, band_list[i0 + k], name[k], box, cull, steps)
             else:
                 name_piece = Piece(name[k])
                 rest = Piece(key_0[k])
@@ -287,12 +292,13 @@ def draw_band(
                 down_a = Piece(dy_a[k])
                 down_b = Piece(dy_b[k])
                 down_c = Piece(dy_c[k])
-                for column_0 in range(x0[k], x1[k] + 1, PIECE):
+                for x in range(x0[k], x1[k] + 1, PIECE):
+                    column_0 = wp.min(x, width - PIECE)  # pixels may be drawn twice, but none of the next row
                     right = float(column_0 - x0[k])
                     in_a = steps * dx_a[k] + Piece(e_a[k] + right * dx_a[k])
                     in_b = steps * dx_b[k] + Piece(e_b[k] + right * dx_b[k])
                     in_c = steps * dx_c[k] + Piece(e_c[k] + right * dx_c[k])
-                    at = y0[k] * pitch + column_0
+                    at = y0[k] * width + column_0
                     for _y in range(y0[k], y1[k] + 1):
                         inside = wp.min(wp.min(in_a, in_b), in_c)
                         near = in_a * by_a[k] + in_b * by_b[k] + in_c * by_c[k] + rest
@@ -301,22 +307,25 @@ def draw_band(
                         in_a += down_a
                         in_b += down_b
                         in_c += down_c
-                        at += pitch
+                        at += width
     # Keys become depths; what lies beyond the far plane, and the background, overflows to infinity.
     one = Piece(1.0)
     zero = Piece(0.0)
     limit = Piece(far)
-    for y in range(top, bottom + 1):
-        for x in range(0, target.width - PIECE + 1, PIECE):
-            depth = target.key_piece[y * pitch + x]
-            if perspective == 1:
-                depth = wp.cw_div(one, zero - depth)  # 0 - 0 is +0, whose reciprocal is +inf
-            depth_piece[y * target.width + x] = depth + wp.max(depth - limit, zero) * HUGE * HUGE
-        for x in range(target.width - target.width % PIECE, target.width):
-            last = float(target.key[y * pitch + x])
-            if perspective == 1:
-                last = 1.0 / (0.0 - last)
-            depth_out[y, x] = wp.where(last <= far, last, wp.inf)
+    whole = (end - begin) / PIECE * PIECE
+    for at in range(begin, begin + whole, PIECE):
+        depth = target.key_piece[at]
+        if perspective == 1:
+            depth = wp.cw_div(one, zero - depth)  # 0 - 0 is +0, whose reciprocal is +inf
+        beyond = wp.max(depth - limit, zero) * HUGE
+        target.key_piece[at] = depth + beyond * HUGE
         if target.with_triangles != 0:
-            for x in range(target.width):
-                triangle_out[y, x] = wp.where(depth_out[y, x] <= far, int(target.triangle[y * pitch + x]), NO_TRIANGLE)
+            held = target.triangle_piece[at]
+            target.triangle_out_piece[at] = IntPiece(held + wp.cw_mul(wp.min(beyond, one), nothing - held))
+    for at in range(begin + whole, end):
+        last = float(target.key[at])
+        if perspective == 1:
+            last = 1.0 / (0.0 - last)
+        target.key[at] = wp.where(last <= far, last, wp.inf)
+        if target.with_triangles != 0:
+            target.triangle_out[at] = wp.where(last <= far, int(target.triangle[at]), NO_TRIANGLE)

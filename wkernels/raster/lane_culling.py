@@ -12,7 +12,9 @@ OUTSIDE = wp.constant(1 << 28)  # column of a vertex that needs clipping
 SMALL = wp.constant(32767)  # subpixels: the widest box whose edge functions fit 32 bits
 
 Ints = wp.types.vector(length=LANES, dtype=wp.int32)
+Longs = wp.types.vector(length=LANES, dtype=wp.int64)
 Floats = wp.types.vector(length=LANES, dtype=wp.float32)
+Points = wp.types.vector(length=3 * LANES, dtype=wp.float32)
 
 
 @wp.func
@@ -33,22 +35,42 @@ def edge_32(ax: int, ay: int, bx: int, by: int, x: int, y: int):
     return (bx - ax) * (y - ay) - (by - ay) * (x - ax)
 
 
+@wp.func
+def pack(column: int, row: int):
+    """Snapped coordinates as one number, as fetching two costs twice as much."""
+    return (wp.int64(row) << wp.int64(32)) | (wp.int64(column) & wp.int64(0xFFFFFFFF))
+
+
+@wp.func
+def column_of(vertex: wp.int64):
+    """The column in ``pack``."""
+    return wp.int32(vertex)
+
+
+@wp.func
+def row_of(vertex: wp.int64):
+    """The row in ``pack``."""
+    return wp.int32(vertex >> wp.int64(32))
+
+
 @wp.kernel
 def project_lanes(
     first: int,
-    points_ws: wp.array(dtype=float),  # flat (3 V,)
-    count: int,
+    points_ws: wp.array(dtype=Points),  # (V / 128,), whole runs only
+    last_points_ws: Points,  # what is left, anything behind it
     view: View,
     perspective: int,
-    column_out: wp.array(dtype=int),
-    row_out: wp.array(dtype=int),
-    key_out: wp.array(dtype=float),
+    vertex_out: wp.array(dtype=Longs),
+    key_out: wp.array(dtype=Floats),
 ):
     """Snapped screen position and depth key of 128 vertices.
 
     Where a vertex needs clipping its column is OUTSIDE, and its row has a bit for each plane that it is outside of.
     """
-    begin = (first + wp.tid()) * LANES
+    run = first + wp.tid()
+    points = last_points_ws
+    if run < points_ws.shape[0]:
+        points = points_ws[run]
     m = view.ws_to_ss
     m00, m01, m02, m03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]
     m10, m11, m12, m13 = m[1, 0], m[1, 1], m[1, 2], m[1, 3]
@@ -57,14 +79,12 @@ def project_lanes(
     near = view.near
     width = float(view.width)
     height = float(view.height)
-    columns = Ints(0)
-    rows = Ints(0)
+    vertices = Longs()
     keys = Floats(0.0)
     for k in range(LANES):
-        i = 3 * wp.min(begin + k, count - 1)
-        x = points_ws[i]
-        y = points_ws[i + 1]
-        z = points_ws[i + 2]
+        x = points[3 * k]
+        y = points[3 * k + 1]
+        z = points[3 * k + 2]
         w = m30 * x + m31 * y + m32 * z + m33
         depth = m20 * x + m21 * y + m22 * z + m23
         x_h = 0.5 * ((m00 * x + m01 * y + m02 * z + m03) + w) * width
@@ -76,16 +96,14 @@ def project_lanes(
         planes = behind | beside | above
         inside = wp.where(planes == 0, 1, 0)
         over_w = 1.0 / wp.where(inside == 1, w, 1.0)
-        columns[k] = wp.where(
+        column = wp.where(
             inside == 1, int(wp.floor(wp.where(inside == 1, x_h, 0.0) * over_w * float(SUBPIXELS) + 0.5)), OUTSIDE
         )
         snapped_y = int(wp.floor(wp.where(inside == 1, y_h, 0.0) * over_w * float(SUBPIXELS) + 0.5))
-        rows[k] = wp.where(inside == 1, snapped_y, planes)
+        vertices[k] = pack(column, wp.where(inside == 1, snapped_y, planes))
         keys[k] = wp.where(perspective == 1, -over_w, depth)
-    for k in range(wp.min(LANES, count - begin)):
-        column_out[begin + k] = columns[k]
-        row_out[begin + k] = rows[k]
-        key_out[begin + k] = keys[k]
+    vertex_out[run] = vertices
+    key_out[run] = keys
 
 
 @wp.kernel
@@ -93,13 +111,13 @@ def append_clipped(
     first: int,
     clip_screen: wp.array(dtype=wp.vec4),
     clip_corners: wp.array(dtype=wp.vec3i),
-    vertices: int,
+    vertices: int,  # where the first new vertex and triangle go
     triangles: int,
     perspective: int,
-    column_out: wp.array(dtype=int),
-    row_out: wp.array(dtype=int),
+    vertex_out: wp.array(dtype=wp.int64),
     key_out: wp.array(dtype=float),
     corners_out: wp.array(dtype=int),
+    pitch: int,
 ):
     """Adds the fan of one clipped triangle behind the mesh's own vertices and triangles."""
     slot = first + wp.tid()
@@ -107,25 +125,32 @@ def append_clipped(
         for k in range(3):
             v = clip_corners[i][k]
             screen = clip_screen[v]
-            column_out[vertices + v] = int(wp.floor(screen[0] * float(SUBPIXELS) + 0.5))
-            row_out[vertices + v] = int(wp.floor(screen[1] * float(SUBPIXELS) + 0.5))
+            column = int(wp.floor(screen[0] * float(SUBPIXELS) + 0.5))
+            vertex_out[vertices + v] = pack(column, int(wp.floor(screen[1] * float(SUBPIXELS) + 0.5)))
             key_out[vertices + v] = wp.where(perspective == 1, -screen[3], screen[2])
-            corners_out[3 * (triangles + i) + k] = vertices + v
+            corners_out[k * pitch + triangles + i] = vertices + v
+
+
+@wp.func
+def chunk_start(begin: int, end: int, part: int, chunks: int):
+    """First triangle of a part of begin..end: a whole number of runs, or the end."""
+    runs = (end + LANES - 1) / LANES - begin / LANES
+    return wp.clamp((begin / LANES + int(wp.int64(runs) * wp.int64(part) / wp.int64(chunks))) * LANES, begin, end)
 
 
 @wp.kernel
 def cull_lanes(
     first: int,
-    corners: wp.array(dtype=int),  # flat (3 T,)
-    column: wp.array(dtype=int),
-    row: wp.array(dtype=int),
+    corners: wp.array(dtype=Ints),  # all first corners, from run ``pitch`` on all second ones, then all third ones
+    pitch: int,
+    vertex: wp.array(dtype=wp.int64),  # (V,)
     begin: int,
     end: int,
     chunk: int,
     chunks: int,
     width: int,
     height: int,
-    band_rows: int,
+    band_shift: int,  # a band has 1 << this rows
     cull: int,
     survivor_out: wp.array(dtype=int),  # from each chunk's first triangle on
     span_out: wp.array(dtype=int),  # first band, and last band << 16
@@ -136,29 +161,30 @@ def cull_lanes(
     """Which triangles of one chunk of begin..end cover a pixel centre's box, and how many each band gets."""
     part = first + wp.tid()
     own = chunk + part
-    t_begin = begin + int(wp.int64(end - begin) * wp.int64(part) / wp.int64(chunks))
-    t_end = begin + int(wp.int64(end - begin) * wp.int64(part + 1) / wp.int64(chunks))
+    t_begin = chunk_start(begin, end, part, chunks)
+    t_end = chunk_start(begin, end, part + 1, chunks)
     for band in range(counts_out.shape[0]):
         counts_out[band, own] = 0
     keep = Ints(0)
     outside = Ints(0)
-    tops = Ints(0)
-    bottoms = Ints(0)
+    spans = Ints(0)
     kept = Ints(0)
     survivors = int(t_begin)
     clipped = int(t_begin)
     for t0 in range(t_begin, t_end, LANES):
+        corners_a = corners[t0 / LANES]
+        corners_b = corners[pitch + t0 / LANES]
+        corners_c = corners[2 * pitch + t0 / LANES]
         for k in range(LANES):
-            t = 3 * wp.min(t0 + k, t_end - 1)
-            a = corners[t]
-            b = corners[t + 1]
-            c = corners[t + 2]
-            ax = column[a]
-            bx = column[b]
-            cx = column[c]
-            ay = row[a]
-            by = row[b]
-            cy = row[c]
+            a = vertex[corners_a[k]]
+            b = vertex[corners_b[k]]
+            c = vertex[corners_c[k]]
+            ax = column_of(a)
+            bx = column_of(b)
+            cx = column_of(c)
+            ay = row_of(a)
+            by = row_of(b)
+            cy = row_of(c)
             low_x = wp.min(wp.min(ax, bx), cx)
             high_x = wp.max(wp.max(ax, bx), cx)
             low_y = wp.min(wp.min(ay, by), cy)
@@ -177,8 +203,7 @@ def cull_lanes(
             beyond_c = wp.where(cx < OUTSIDE, 0, cy)
             hidden = beyond_a & beyond_b & beyond_c  # all three outside of one plane: nothing would be left
             outside[k] = wp.where(high_x < OUTSIDE, 0, wp.where(hidden != 0, 0, 1))
-            tops[k] = top
-            bottoms[k] = bottom
+            spans[k] = (top >> band_shift) | ((bottom >> band_shift) << 16)
         n = int(0)
         crossing = int(0)
         for k in range(wp.min(LANES, t_end - t0)):
@@ -187,12 +212,10 @@ def cull_lanes(
             crossing += outside[k]
         for i in range(n):
             k = kept[i]
-            band_a = tops[k] / band_rows
-            band_b = bottoms[k] / band_rows
             survivor_out[survivors] = t0 + k
-            span_out[survivors] = band_a + (band_b << 16)
+            span_out[survivors] = spans[k]
             survivors += 1
-            for band in range(band_a, band_b + 1):
+            for band in range(spans[k] & 65535, (spans[k] >> 16) + 1):
                 counts_out[band, own] += 1
         if crossing > 0:
             for k in range(wp.min(LANES, t_end - t0)):

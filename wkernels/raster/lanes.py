@@ -20,8 +20,18 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wkernels.raster.lane_bands import PIECE, Piece, Target, draw_band
-from wkernels.raster.lane_culling import LANES, append_clipped, cull_lanes, list_bands, project_lanes
+from wkernels.raster.lane_bands import PIECE, IntPiece, Piece, Target, draw_band
+from wkernels.raster.lane_culling import (
+    LANES,
+    Floats,
+    Ints,
+    Longs,
+    Points,
+    append_clipped,
+    cull_lanes,
+    list_bands,
+    project_lanes,
+)
 from wkernels.raster.scratch import Scratch
 from wkernels.raster.triangles import CLIP_TRIANGLES, CLIP_VERTICES, clip_triangles
 from wkernels.views import View
@@ -51,7 +61,8 @@ class LaneRasteriser:
 
     def __init__(self, scratch: Scratch) -> None:
         self._scratch = scratch
-        self._corners_of: wp.array | None = None  # whose copy the first part of the scratch "corners" is
+        self._corners_of: wp.array | None = None  # whose corners are held
+        self._corner_pitch = 0  # in runs
 
     def draw(
         self,
@@ -66,27 +77,28 @@ class LaneRasteriser:
         """``Rasteriser.draw`` for fewer than MAX_TRIANGLES triangles; ``perspective`` is ``projection_kind(view)``."""
         scratch = self._scratch
         vertices, triangles = len(points_ws), len(indices) // 3
-        pitch = -(-(view.width + PIECE) // PIECE) * PIECE  # a piece may begin at the last pixel of a row
-        band_rows = min(64, max(8, BAND_BYTES // (4 * pitch)), max(1, -(-view.height // 4)))
+        clip_vertex, clip_begin = _runs(vertices) * LANES, _runs(triangles) * LANES  # where those of clipped ones go
+        band_shift = int(np.log2(min(64, max(8, BAND_BYTES // (4 * view.width)), max(1, -(-view.height // 4)))))
+        band_rows = 1 << band_shift
         bands = -(-view.height // band_rows)
 
-        corners = self._corners(indices, 3 * triangles)
-        column, row, key = self._vertices(vertices)
-        flat = wp.array(ptr=points_ws.ptr, dtype=float, shape=3 * vertices, device="cpu") if vertices else points_ws
-        inputs: list[Any] = [flat, vertices, view, perspective]
-        scratch.launch(project_lanes, -(-vertices // LANES), inputs, [column, row, key])
+        self._hold_corners(indices, clip_begin)
+        self._hold_vertices(clip_vertex)
+        if vertices:
+            inputs: list[Any] = [*_point_runs(points_ws), view, perspective]
+            scratch.launch(project_lanes, _runs(vertices), inputs, [self._vertex_runs, self._key_runs])
 
         survivor, span, clipped = (scratch.array(name, (triangles,), int) for name in ("survivor", "span", "clipped"))
         found = scratch.array("found", (2, CHUNKS + 1), int)
         counts = scratch.array("counts", (bands, CHUNKS + 1), int)
-        chunk_begin = np.array([triangles * k // CHUNKS for k in range(CHUNKS + 1)], dtype=np.int32)
-        shape = [view.width, view.height, band_rows, cull]
+        shape = [view.width, view.height, band_shift, cull]
         outputs = [survivor, span, clipped, found, counts]
         found.numpy()[:] = 0
         counts.numpy()[:] = 0
         if triangles:
-            inputs = [corners, column, row, 0, triangles, 0, CHUNKS, *shape]
+            inputs = [self._corner_runs, self._corner_pitch, self._vertex, 0, triangles, 0, CHUNKS, *shape]
             scratch.launch(cull_lanes, CHUNKS, inputs, outputs)
+        chunk_begin = _chunk_begin(triangles, clip_begin)
         crossing = [
             clipped.numpy()[b : b + n] for b, n in zip(chunk_begin, found.numpy()[1, :CHUNKS], strict=False) if n
         ]
@@ -98,13 +110,14 @@ class LaneRasteriser:
             clip_corners = scratch.array("clip corners", (slots * CLIP_TRIANGLES,), wp.vec3i)
             inputs = [points_ws, indices, which, view]
             scratch.launch(clip_triangles, slots, inputs, [clip_screen, clip_corners, clip_triangle])
-            total = triangles + slots * CLIP_TRIANGLES
-            corners = self._corners(indices, 3 * total)
-            column, row, key = self._vertices(vertices + slots * CLIP_VERTICES, keep=vertices)
+            total = clip_begin + slots * CLIP_TRIANGLES
+            self._hold_corners(indices, total)
+            self._hold_vertices(clip_vertex + slots * CLIP_VERTICES, keep=clip_vertex)
             survivor, span = (self._grown(name, total, triangles) for name in ("survivor", "span"))
-            inputs = [clip_screen, clip_corners, vertices, triangles, perspective]
-            scratch.launch(append_clipped, slots, inputs, [column, row, key, corners])
-            inputs = [corners, column, row, triangles, total, CHUNKS, 1, *shape]
+            inputs = [clip_screen, clip_corners, clip_vertex, clip_begin, perspective]
+            outputs = [self._vertex, self._key, self._corners, self._corner_pitch * LANES]
+            scratch.launch(append_clipped, slots, inputs, outputs)
+            inputs = [self._corner_runs, self._corner_pitch, self._vertex, clip_begin, total, CHUNKS, 1, *shape]
             scratch.launch(cull_lanes, 1, inputs, [survivor, span, clipped, found, counts])
 
         starts = np.concatenate([[0], np.cumsum(counts.numpy().ravel(), dtype=np.int64)])
@@ -115,17 +128,16 @@ class LaneRasteriser:
         begins = wp.array(chunk_begin, dtype=int, device="cpu")
         scratch.launch(list_bands, CHUNKS + 1, [survivor, span, begins, found, counts], [band_list])
 
-        target = self._target(pitch, bands * band_rows, view.width, triangle_out is not None)
-        if triangle_out is None:
-            triangle_out = scratch.array("no triangles", (1, 1), int)
-        pixels = view.width * view.height
-        inputs = [corners, column, row, key, clip_triangle, triangles, band_begin, band_list, band_rows, view.height]
-        inputs += [view.far, perspective, cull, _STEPS, target, _pieces(depth_out.ptr, pixels)]
-        scratch.launch(draw_band, bands, inputs, [depth_out, triangle_out], tile=1)
+        inputs = [self._corners, self._corner_pitch * LANES, self._vertex, self._key, clip_triangle, clip_begin]
+        inputs += [band_begin, band_list, band_rows, view.far, perspective, cull, _STEPS]
+        scratch.launch(draw_band, bands, inputs, [_target(view, depth_out, triangle_out)], tile=1)
 
-    def _vertices(self, count: int, keep: int = 0) -> list[wp.array]:
-        names = (("column", int), ("row", int), ("key", float))
-        return [self._grown(name, count, keep, dtype) for name, dtype in names]
+    def _hold_vertices(self, count: int, keep: int = 0) -> None:
+        """Room for the vertices' coordinates and keys, in whole runs; the first ``keep`` stay as they are."""
+        count = _runs(count) * LANES
+        self._vertex, self._key = self._grown("vertex", count, keep, wp.int64), self._grown("key", count, keep, float)
+        self._vertex_runs = wp.array(ptr=self._vertex.ptr, dtype=Longs, shape=_runs(count), device="cpu")
+        self._key_runs = wp.array(ptr=self._key.ptr, dtype=Floats, shape=_runs(count), device="cpu")
 
     def _grown(self, name: str, count: int, keep: int, dtype: type = int) -> wp.array:
         """A scratch array of at least ``count``; its first ``keep`` elements survive if it has to grow."""
@@ -135,27 +147,56 @@ class LaneRasteriser:
             wp.copy(new, old, count=keep)
         return new
 
-    def _corners(self, indices: wp.array, count: int) -> wp.array:
-        """The mesh's indices with room for the corners of clipped triangles behind them."""
-        before = self._scratch.array("corners", (len(indices),), int)
-        out = self._scratch.array("corners", (count,), int)
-        if self._corners_of is not indices or before.ptr != out.ptr:
-            if len(indices):
-                wp.copy(out, indices)
-            self._corners_of = indices
-        return out
-
-    def _target(self, pitch: int, rows: int, width: int, with_triangles: bool) -> Target:
-        size = pitch * rows + 2 * PIECE
-        out = Target()
-        out.key = self._scratch.array("target key", (size,), float)
-        out.triangle = self._scratch.array("target triangle", (size if with_triangles else 1,), float)
-        out.key_piece = _pieces(out.key.ptr, size)
-        out.triangle_piece = _pieces(out.triangle.ptr, size if with_triangles else PIECE)
-        out.with_triangles, out.pitch, out.width = int(with_triangles), pitch, width
-        return out
+    def _hold_corners(self, indices: wp.array, count: int) -> None:
+        """All first corners, then all second ones, then all third ones, each with room for ``count`` in whole runs."""
+        if self._corners_of is indices and self._corner_pitch * LANES >= count:
+            return
+        self._corner_pitch = _runs(count + count // 8)
+        self._corners = self._scratch.array("corners", (3 * self._corner_pitch * LANES,), int)
+        self._corner_runs = wp.array(ptr=self._corners.ptr, dtype=Ints, shape=3 * self._corner_pitch, device="cpu")
+        held = self._corners.numpy()[: 3 * self._corner_pitch * LANES].reshape(3, -1)
+        triangles = len(indices) // 3
+        held[:, :triangles] = indices.numpy()[: 3 * triangles].reshape(-1, 3).T
+        held[:, triangles:] = 0
+        self._corners_of = indices
 
 
-def _pieces(address: int, floats: int) -> wp.array:
-    """Memory of so many floats as overlapping pieces, one from every float on that has 7 more behind it."""
-    return wp.array(ptr=address, dtype=Piece, shape=max(1, floats - PIECE + 1), strides=(4,), device="cpu")
+def _target(view: View, depth_out: wp.array, triangle_out: wp.array | None) -> Target:
+    out = Target()
+    pixels = view.width * view.height
+    out.key, out.key_piece = _flat(depth_out.ptr, pixels, float), _pieces(depth_out.ptr, pixels, Piece)
+    if triangle_out is not None:
+        address = triangle_out.ptr
+        out.triangle, out.triangle_piece = _flat(address, pixels, float), _pieces(address, pixels, Piece)
+        out.triangle_out, out.triangle_out_piece = _flat(address, pixels, int), _pieces(address, pixels, IntPiece)
+    out.with_triangles, out.width, out.height = int(triangle_out is not None), view.width, view.height
+    return out
+
+
+def _flat(address: int, count: int, dtype: type) -> wp.array:
+    return wp.array(ptr=address, dtype=dtype, shape=count, device="cpu")
+
+
+def _pieces(address: int, count: int, dtype: type) -> wp.array:
+    """So many numbers as overlapping pieces, one from every number on that has 7 more behind it."""
+    return wp.array(ptr=address, dtype=dtype, shape=count - PIECE + 1, strides=(4,), device="cpu")
+
+
+def _runs(count: int) -> int:
+    return -(-count // LANES)
+
+
+def _point_runs(points_ws: wp.array) -> tuple[wp.array, Points]:
+    """Points in whole runs, and what is left of them."""
+    whole = len(points_ws) // LANES
+    runs = wp.array(ptr=points_ws.ptr, dtype=Points, shape=whole, device="cpu")
+    rest = np.zeros(3 * LANES, dtype=np.float32)
+    left = points_ws.numpy()[whole * LANES :].ravel()
+    rest[: left.size] = left
+    return runs, Points(*rest)
+
+
+def _chunk_begin(triangles: int, clip_begin: int) -> np.ndarray:
+    """First triangle of each chunk, as ``lane_culling.chunk_start`` has it, and of the clipped ones."""
+    starts = [min(_runs(triangles) * k // CHUNKS * LANES, triangles) for k in range(CHUNKS)]
+    return np.array([*starts, clip_begin], dtype=np.int32)
