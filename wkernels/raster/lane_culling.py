@@ -57,7 +57,7 @@ def row_of(vertex: wp.int64):
 def project_lanes(
     first: int,
     points_ws: wp.array(dtype=Points),  # (V / 128,), whole runs only
-    last_points_ws: Points,  # what is left, anything behind it
+    last_points_ws: wp.array2d(dtype=Points),  # (1, 1): what is left, anything behind it
     view: View,
     perspective: int,
     vertex_out: wp.array(dtype=Longs),
@@ -68,7 +68,7 @@ def project_lanes(
     Where a vertex needs clipping its column is OUTSIDE, and its row has a bit for each plane that it is outside of.
     """
     run = first + wp.tid()
-    points = last_points_ws
+    points = last_points_ws[0, 0]
     if run < points_ws.shape[0]:
         points = points_ws[run]
     m = view.ws_to_ss

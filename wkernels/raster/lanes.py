@@ -85,7 +85,7 @@ class LaneRasteriser:
         self._hold_corners(indices, clip_begin)
         self._hold_vertices(clip_vertex)
         if vertices:
-            inputs: list[Any] = [*_point_runs(points_ws), view, perspective]
+            inputs: list[Any] = [*self._point_runs(points_ws), view, perspective]
             scratch.launch(project_lanes, _runs(vertices), inputs, [self._vertex_runs, self._key_runs])
 
         survivor, span, clipped = (scratch.array(name, (triangles,), int) for name in ("survivor", "span", "clipped"))
@@ -131,6 +131,15 @@ class LaneRasteriser:
         inputs = [self._corners, self._corner_pitch * LANES, self._vertex, self._key, clip_triangle, clip_begin]
         inputs += [band_begin, band_list, band_rows, view.far, perspective, cull, _STEPS]
         scratch.launch(draw_band, bands, inputs, [_target(view, depth_out, triangle_out)], tile=1)
+
+    def _point_runs(self, points_ws: wp.array) -> tuple[wp.array, wp.array]:
+        """Points in whole runs, and a run of what is left of them."""
+        whole = len(points_ws) // LANES
+        runs = wp.array(ptr=points_ws.ptr, dtype=Points, shape=whole, device="cpu")
+        rest = self._scratch.array("last points", (1, 1), Points)
+        left = points_ws.numpy()[whole * LANES :].ravel()
+        rest.numpy().ravel()[: left.size] = left
+        return runs, rest
 
     def _hold_vertices(self, count: int, keep: int = 0) -> None:
         """Room for the vertices' coordinates and keys, in whole runs; the first ``keep`` stay as they are."""
@@ -184,16 +193,6 @@ def _pieces(address: int, count: int, dtype: type) -> wp.array:
 
 def _runs(count: int) -> int:
     return -(-count // LANES)
-
-
-def _point_runs(points_ws: wp.array) -> tuple[wp.array, Points]:
-    """Points in whole runs, and what is left of them."""
-    whole = len(points_ws) // LANES
-    runs = wp.array(ptr=points_ws.ptr, dtype=Points, shape=whole, device="cpu")
-    rest = np.zeros(3 * LANES, dtype=np.float32)
-    left = points_ws.numpy()[whole * LANES :].ravel()
-    rest[: left.size] = left
-    return runs, Points(*rest)
 
 
 def _chunk_begin(triangles: int, clip_begin: int) -> np.ndarray:
