@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,7 @@ from experiments.bench.rows import Row
 from wkernels.geometry import Geometry
 
 TECHNIQUES = ("tc_soft_paper", "pcss", "shadow_map")
-WARM_UP_FRAMES = 50  # kernels load, buffers and the allocator's pools reach their size
+WARM_UP_FRAMES = 100  # kernels load, buffers and the pools of the allocator reach their size
 
 
 def resident_bytes() -> int | None:
@@ -32,12 +34,19 @@ def growth_bytes(walk: Walk, frames: int) -> tuple[int | None, float]:
     """How much more memory the process holds after ``frames`` frames than after the warm-up, and their median [ms]."""
     for _ in range(WARM_UP_FRAMES):
         walk.next_frame()
-    gc.collect()
+    _give_back()
     before = resident_bytes()
     times = [walk.next_frame() for _ in range(frames)]
-    gc.collect()
+    _give_back()
     after = resident_bytes()
     return None if before is None or after is None else after - before, float(np.median(times))
+
+
+def _give_back() -> None:
+    """Frees garbage down to the system: pages that the allocator holds back would hide what grows into them."""
+    gc.collect()
+    with suppress(OSError, AttributeError):  # only glibc has it
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
 def draw_many(bench: Bench, name: str) -> Iterator[Row]:

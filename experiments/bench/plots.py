@@ -8,12 +8,13 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 from experiments.bench.rows import Row
 from experiments.report.style import INK, Look, log_axis, new_figure, save, styled
 
 _OURS = "ours"
+_SERIES = {"rasteriser": "depth pass", "gbuffer": "depth and triangle pass", "pcss": "pixel pass of pcss"}
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ def draw(plot: Plot, rows: Sequence[Row]) -> Figure:
                 lw=1.6,
                 ls="-" if peer is None else (0, (5, 2)),
                 markerfacecolor=look.color(series) if peer is None else "white",
-                label=" ".join(filter(None, [series if series != _OURS or peer is None else "", peer])),
+                label=peer or _SERIES.get(series, series),
             )
         every = [point for points in lines.values() for point in points]
         if plot.case == "scale_threads":
@@ -88,6 +89,10 @@ def draw(plot: Plot, rows: Sequence[Row]) -> Figure:
             every.append((most, most))
         log_axis(axes, "x", [[x for x, _ in every]])
         log_axis(axes, "y", [[y for _, y in every]])
+        if plot.case == "scale_threads":
+            few = max(x for x, _ in every) <= 4.0
+            axes.yaxis.set_major_locator(LogLocator(base=2.0, subs=(1.0, 1.25, 1.5, 1.75) if few else (1.0,)))
+            axes.yaxis.set_minor_locator(NullLocator())
         _mark_sizes(axes, plot, sorted({x for x, _ in every}))
         axes.set_xlabel(plot.x_label)
         axes.set_ylabel(plot.y_label)

@@ -22,6 +22,7 @@ from wkernels.views import eye_view
 BYTES_PER_TRIANGLE = 400  # at the peak: float64 vertices and their copies, both sides' buffers, our bins
 _MOST_S = 5.0  # of timed runs of one size
 _SLOW_REPEATS = 3
+_SLOW_MS = 1000.0  # from here on the warm-up is nothing beside the frame
 
 
 def over_threads(bench: Bench, name: str) -> Iterator[Row]:
@@ -84,12 +85,14 @@ def over_samples(bench: Bench, name: str) -> Iterator[Row]:
     for technique_name in ("reference_multisample", "multi_shadow_map"):
         technique: Any = find(technique_name)
         rays = technique_name == "reference_multisample"
+        ms = 0.0
         for count in bench.sizes.sample_counts:
             # maps that are kept from frame to frame would cost nothing; proofs are part of the other method
             instance = technique(technique.Params(samples=count))
             walk = Walk(geometry, instance, size, bench.threads, skips=rays)
             repeats = min(bench.repeats, _SLOW_REPEATS)
-            (ms,) = interleaved_medians([walk.next_frame], repeats, warm_ups=1, most_s=_MOST_S)
+            warm_ups = 2 if ms < _SLOW_MS else int(rays)  # a ray structure is built but once
+            (ms,) = interleaved_medians([walk.next_frame], repeats, warm_ups=warm_ups, most_s=_MOST_S)
             figures = {"samples": count, "ms_per_sample": ms / count}
             note = f"whole frames, {size[0]}x{size[1]}" + ("" if rays else ", every map drawn anew")
             yield Row(f"{name}.{technique_name}.{count}", ms, note=note, figures=figures)

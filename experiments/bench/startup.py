@@ -58,7 +58,7 @@ def compile_cold(bench: Bench, name: str) -> Iterator[Row]:
 
 
 def start_help(bench: Bench, name: str) -> Iterator[Row]:
-    """``wkernels --help``."""
+    """``wkernels --help`` in a process of its own."""
     repeats = min(bench.repeats, WARM_REPEATS)
     command = [sys.executable, "-c", _CLI, "--help"]
     yield _measured(name, command, repeats, f"wkernels --help, a process each, median of {repeats}")
