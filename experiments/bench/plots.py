@@ -93,6 +93,7 @@ def draw(plot: Plot, rows: Sequence[Row]) -> Figure:
             few = max(x for x, _ in every) <= 4.0
             axes.yaxis.set_major_locator(LogLocator(base=2.0, subs=(1.0, 1.25, 1.5, 1.75) if few else (1.0,)))
             axes.yaxis.set_minor_locator(NullLocator())
+            axes.set_ylim(bottom=0.95)
         _mark_sizes(axes, plot, sorted({x for x, _ in every}))
         axes.set_xlabel(plot.x_label)
         axes.set_ylabel(plot.y_label)
