@@ -19,7 +19,7 @@ from wkernels.geometry import Geometry
 from wkernels.launch import default_threads
 from wkernels.views import eye_view
 
-BYTES_PER_TRIANGLE = 400  # at the peak: float64 vertices and their copies, both sides' buffers, our bins
+BYTES_PER_TRIANGLE = 200  # at the peak, measured 140: float64 vertices, their copies, both sides' buffers, our bins
 _MOST_S = 5.0  # of timed runs of one size
 _SLOW_REPEATS = 3
 _SLOW_MS = 1000.0  # from here on the warm-up is nothing beside the frame
