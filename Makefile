@@ -10,7 +10,7 @@ help:
 	@echo "make demo    render the demo walkthrough and write its report"
 	@echo "make test    run the tests"
 	@echo "make check   lint and type check"
-	@echo "make bench   time passes beside other renderers, and frames"
+	@echo "make bench   time passes beside other renderers, frames, scaling and start-up (5 minutes)"
 	@echo "make table   bring the technique table of README.md up to date"
 	@echo "make picture make the picture of README.md again, from the demo"
 	@echo "make clean   remove .venv and out/"

@@ -6,7 +6,14 @@ loads neither Warp nor any technique.
 
 from __future__ import annotations
 
+import os as _os
+import sys as _sys
 from typing import TYPE_CHECKING, Any
+
+# As wkernels does it, but earlier: most modules here import NumPy before the first one of wkernels, and OpenBLAS, whose
+# threads keep spinning beside our kernels, reads this when NumPy is imported.
+if "numpy" not in _sys.modules:
+    _os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 if TYPE_CHECKING:
     from experiments.api import reference_visibility, render_visibility

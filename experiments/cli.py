@@ -137,16 +137,22 @@ def doctor() -> None:
 @app.command()
 def bench(
     as_json: Annotated[bool, typer.Option("--json", help="Machine, versions and every row as JSON.")] = False,
-    only: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="A case, such as depth_250k; repeatable.")
+    case: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="A case, or the beginning of some, such as depth or scale_; repeatable."),
     ] = None,
+    list_only: Annotated[bool, typer.Option("--list", help="Name the cases; time nothing.")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Write plots of the scaling cases there.")] = None,
     threads: Threads = None,
     repeats: Annotated[int, typer.Option(min=1, max=1000, help="Timed runs of each side; medians are shown.")] = 9,
 ) -> None:
-    """Time our passes beside other renderers' and every technique's frame."""
-    from experiments.commands.bench import run_bench
+    """Time our passes beside other renderers', every technique's frame, scaling, start-up and memory."""
+    from experiments.commands.bench import list_cases, run_bench
 
-    run_bench(only=only or [], as_json=as_json, threads=threads, repeats=repeats)
+    if list_only:
+        list_cases()
+    else:
+        run_bench(cases=case or [], as_json=as_json, threads=threads, repeats=repeats, out=out)
 
 
 @app.command("new-technique")

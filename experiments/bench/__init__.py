@@ -1,7 +1,9 @@
 """``wkernels bench``: our passes beside the same passes of other renderers, in one process, in turn.
 
 - ``rows``: what a row of the result says, and how two sides are timed;
-- ``meshes``: the spheres on a terrain that the cases draw;
-- ``cases``: what is timed;
-- ``llvmpipe``: the peer, Mesa's software OpenGL; ``shaders``: its GLSL.
+- ``plan``: how large the cases are; ``meshes``: the spheres on a terrain that some of them draw;
+- ``cases``: all cases by name, and what they should reach;
+- ``passes``, ``references``, ``frames``, ``scaling``, ``memory``, ``startup``: what is timed;
+- ``llvmpipe``: a peer, Mesa's software OpenGL; ``shaders``: its GLSL; ``ray_peers``: Mitsuba and embreex;
+- ``machine``: what the numbers were measured with; ``plots``: the scaling cases as pictures.
 """

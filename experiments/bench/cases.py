@@ -1,287 +1,80 @@
-"""What the bench times: depth passes, a G-buffer, a pixel pass, threads, and whole frames."""
+"""What the bench times, by name, and what each row should reach."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from typing import Any
 
-import numpy as np
-import warp as wp
-
-from algorithms.plugins import find, load_all
-from experiments.bench.llvmpipe import NAME, Llvmpipe
-from experiments.bench.meshes import Mix, camera, spheres_on_terrain, sun, sunlit_scene
-from experiments.bench.rows import Row, Timed, interleaved_medians
-from experiments.config.needs import check_needs
-from experiments.scenes import load_scene
-from wkernels.errors import InputError
-from wkernels.filtering import BORDER, pull_footprint, tap_set
-from wkernels.frame import Session
-from wkernels.gbuffer import GBuffer
-from wkernels.geometry import CASTS, RECEIVES, Bounds, Geometry
-from wkernels.light_map import ROUNDING
-from wkernels.light_views import scene_views
-from wkernels.raster import CULL_BACK, Rasteriser
-from wkernels.views import HostView, eye_view
-
-OVERLAP = Path(__file__).resolve().parents[2] / "configs" / "scenes" / "overlap.yaml"
-SUN_DEG = 6.0  # angular diameter of the soft sun; with large spheres many pixels search and filter
-SOFT_CAMERA_HEIGHT = 120.0  # above them
-DEPTH_TOLERANCE = 1e-3  # share of the depth range; both snap corners to 1/256 pixel, which shows on steep faces
-TAP_TOLERANCE = 0.5 / 16.0  # less than one of the 16 taps
-
-
-@dataclass(frozen=True)
-class Sizes:
-    """How large the cases are; the fields' defaults are what their names say.
-
-    Attributes:
-        map_side: Texels per side of maps.
-        image: Width and height of camera images [pixels].
-        frame: Width and height of whole frames [pixels].
-        mixes: Meshes of the cases by name of their size.
-    """
-
-    map_side: int = 1024
-    image: tuple[int, int] = (1024, 768)
-    frame: tuple[int, int] = (640, 360)
-    mixes: Mapping[str, Mix] = field(
-        default_factory=lambda: {
-            "10k": Mix(25, 2, 31),
-            "250k": Mix(180, 3, 99),
-            "2500k": Mix(450, 4, 299),
-            "soft": Mix(120, 3, 99, radii=(10.0, 40.0)),
-        }
-    )
-
-
-@dataclass(frozen=True)
-class Bench:
-    """What every case gets.
-
-    Attributes:
-        sizes: How large the cases are.
-        threads: CPU threads of both sides.
-        repeats: Timed runs of each side.
-        peer: The peer, or why there is none.
-    """
-
-    sizes: Sizes
-    threads: int
-    repeats: int
-    peer: Llvmpipe | str
-
-    def beside_peer(
-        self, name: str, ours: Timed, make_peer: Callable[[Llvmpipe], Any], mismatch: Callable[[Any], float], note: str
-    ) -> Row:
-        """A row with the peer's pass if there is a peer, else with the reason why there is none."""
-        if isinstance(self.peer, str):
-            (ours_ms,) = interleaved_medians([ours], self.repeats)
-            return Row(name, ours_ms, NAME, note=f"{note}; {NAME} is missing: {self.peer}")
-        other = make_peer(self.peer)
-        ours_ms, peer_ms = interleaved_medians([ours, other.draw], self.repeats)
-        return Row(name, ours_ms, NAME, peer_ms, mismatch(other), note)
-
-
-class _OurTriangles:
-    """Our pass of the same triangles: depth, and the triangle of each pixel if wanted."""
-
-    def __init__(
-        self, vertices: np.ndarray, faces: np.ndarray, view: HostView, with_triangles: bool, threads: int
-    ) -> None:
-        shape = (view.height, view.width)
-        self._rasteriser = Rasteriser("cpu", threads)
-        self._points = wp.array(vertices.astype(np.float32), dtype=wp.vec3, device="cpu")
-        self._indices = wp.array(faces.ravel(), dtype=int, device="cpu")
-        self._view = view.to_device()
-        self.depth = wp.empty(shape, dtype=float, device="cpu")
-        self.triangle = wp.empty(shape, dtype=int, device="cpu") if with_triangles else None
-
-    def draw(self) -> float:
-        """Milliseconds of one pass."""
-        begin = time.perf_counter()
-        self._rasteriser.draw(self._points, self._indices, self._view, self.depth, self.triangle, CULL_BACK)
-        return (time.perf_counter() - begin) * 1e3
-
-
-def draw_depth(bench: Bench, name: str, size: str) -> Iterator[Row]:
-    """The depth map of a sun: an orthographic view of the whole mesh, depth only."""
-    vertices, faces = spheres_on_terrain(bench.sizes.mixes[size])
-    view = _sun_view(vertices, bench.sizes.map_side)
-    ours = _OurTriangles(vertices, faces, view, False, bench.threads)
-
-    def mismatch(other: Any) -> float:
-        mine, theirs = ours.depth.numpy(), other.depth()
-        seen = np.isfinite(mine)
-        with np.errstate(invalid="ignore"):  # inf - inf, where both see nothing
-            apart = np.abs(mine - theirs) > DEPTH_TOLERANCE * (view.far - view.near)
-        return float(((seen != np.isfinite(theirs)) | (seen & apart)).mean())
-
-    note = f"{len(faces)} triangles, back faces culled, {view.width}x{view.height} depth; mismatch: coverage or depth"
-    yield bench.beside_peer(name, ours.draw, lambda p: p.triangle_pass(vertices, faces, view, False), mismatch, note)
-
-
-def draw_gbuffer(bench: Bench, name: str) -> Iterator[Row]:
-    """A camera's view: depth and the triangle of each pixel."""
-    vertices, faces = spheres_on_terrain(bench.sizes.mixes["250k"])
-    view = eye_view(camera(), *bench.sizes.image, np.zeros(3))
-    ours = _OurTriangles(vertices, faces, view, True, bench.threads)
-
-    def mismatch(other: Any) -> float:
-        assert ours.triangle is not None
-        return float((ours.triangle.numpy() != other.triangle()).mean())
-
-    note = (
-        f"{len(faces)} triangles, back faces culled, {view.width}x{view.height} depth and triangle; mismatch: triangle"
-    )
-    yield bench.beside_peer(name, ours.draw, lambda p: p.triangle_pass(vertices, faces, view, True), mismatch, note)
-
-
-def filter_pcss(bench: Bench, name: str) -> Iterator[Row]:
-    """The pixel pass of ``pcss`` with its defaults, G-buffer and map being there already."""
-    ours = _OurPcss(bench, bench.threads)
-
-    def make_peer(peer: Llvmpipe) -> Any:
-        return peer.pcss_pass(*ours.peer_inputs(), **ours.peer_values())
-
-    def mismatch(other: Any) -> float:
-        mine, theirs = ours.visibility(), other.image()
-        seen = np.isfinite(mine)
-        return float((np.abs(mine - theirs)[seen] > TAP_TOLERANCE).mean())
-
-    width, height = bench.sizes.image
-    note = (
-        f"16 + 16 taps, {width}x{height} pixels, {bench.sizes.map_side}^2 map, pixel pass only; mismatch: a tap or more"
-    )
-    yield bench.beside_peer(name, ours.draw, make_peer, mismatch, note)
-
-
-class _OurPcss:
-    """A session whose products are built once, so that rendering again is the pixel pass and shading."""
-
-    def __init__(self, bench: Bench, threads: int) -> None:
-        technique: Any = find("pcss")
-        self._technique = technique(technique.Params(resolution=bench.sizes.map_side))
-        scene = sunlit_scene(spheres_on_terrain(bench.sizes.mixes["soft"]), SUN_DEG, SOFT_CAMERA_HEIGHT)
-        geometry = Geometry(scene, "cpu", threads)
-        width, height = bench.sizes.image
-        self._session = Session(geometry, width=width, height=height, device="cpu", threads=threads)
-
-    def draw(self) -> float:
-        """Milliseconds of the shadow's pixel pass."""
-        return self._session.render(self._technique).shadow_ms
-
-    def visibility(self) -> np.ndarray:
-        """float32 (H, W), NaN where no receiver is seen."""
-        return self._session.render(self._technique).visibility
-
-    def peer_inputs(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-        """The images and taps that ``Llvmpipe.pcss_pass`` takes."""
-        params, gbuffer = self._technique.params, self._session.gbuffer()
-        images = {
-            "position_ws": _with_flag(gbuffer, gbuffer.position_ws, RECEIVES),
-            "normal_ws": _with_flag(gbuffer, gbuffer.normal_ws, CASTS),
-            "map_depth": self._session.light_map(params.resolution, cull=params.cull).depth.numpy()[0],
-        }
-        taps = {key: tap_set(params.kernel, getattr(params, key)) for key in ("blocker_taps", "filter_taps")}
-        return images, taps
-
-    def peer_values(self) -> dict[str, Any]:
-        """The other uniforms of ``shaders.PCSS``."""
-        params = self._technique.params
-        light_map = self._session.light_map(params.resolution, cull=params.cull)
-        footprint = pull_footprint(self._session, light_map)
-        matrix = light_map.ws_to_ls.numpy()[0]
-        per_length = 0.5 * light_map.resolution * np.linalg.norm(matrix[:2, :3], axis=1)
-        return {
-            "ws_to_ls": matrix,
-            "to_light": self._session.light.centre[:3],
-            "texels_per_ratio": np.diag(per_length * (1.0, -1.0)) @ footprint.half_axes.numpy()[0],
-            "nearest_depth": footprint.nearest_depth.numpy()[0],
-            "bias_slope": params.bias_slope,
-            "rounding": float(ROUNDING),
-            "border": float(BORDER),
-            "resolution": light_map.resolution,
-        }
-
-
-def scale_threads(bench: Bench, name: str) -> Iterator[Row]:
-    """Two threads beside one, in the rasteriser and in a pixel pass."""
-    vertices, faces = spheres_on_terrain(bench.sizes.mixes["250k"])
-    view = _sun_view(vertices, bench.sizes.map_side)
-    for part, make in (
-        ("rasteriser", lambda threads: _OurTriangles(vertices, faces, view, False, threads)),
-        ("pcss", lambda threads: _OurPcss(bench, threads)),
-    ):
-        sides: list[Timed] = [make(threads).draw for threads in (2, 1)]
-        two_ms, one_ms = interleaved_medians(sides, bench.repeats)
-        yield Row(f"{name}.{part}", two_ms, "1 thread", one_ms, note="ours_ms with 2 threads")
-
-
-def render_frames(bench: Bench, name: str) -> Iterator[Row]:
-    """Whole frames of every technique along the path of ``overlap``, with their defaults."""
-    if not OVERLAP.is_file():
-        yield Row(name, None, note=f"{OVERLAP.name} is missing: configs/ is not beside the installed packages")
-        return
-    scene = load_scene(OVERLAP)
-    width, height = bench.sizes.frame
-    geometry = Geometry(scene, "cpu", bench.threads)
-    for technique in load_all().values():
-        row_name = f"{name}.{technique.name}"
-        try:
-            check_needs(technique, scene, scene.lights[0])
-        except InputError as error:
-            yield Row(row_name, None, note=error.message)
-            continue
-        walk = _Walk(geometry, technique(), width, height, bench.threads)
-        (frame_ms,) = interleaved_medians([walk.next_frame], bench.repeats)
-        yield Row(row_name, frame_ms, note=f"{width}x{height}, everything moves; {walk.shares()}")
-
-
-class _Walk:
-    """One technique on its way along the scene's path; every call renders the frame after the last one."""
-
-    def __init__(self, geometry: Geometry, technique: Any, width: int, height: int, threads: int) -> None:
-        self._session = Session(geometry, width=width, height=height, device="cpu", threads=threads)
-        self._technique, self._index, self._passes = technique, 0, [("", 0.0)]
-
-    def next_frame(self) -> float:
-        """Milliseconds of one frame."""
-        self._session.begin(self._index)
-        result = self._session.render(self._technique)
-        self._session.advance()
-        self._index += 1
-        self._passes = result.passes
-        return result.frame_ms
-
-    def shares(self) -> str:
-        """The last frame's passes as shares of its time, the largest first."""
-        total = sum(ms for _, ms in self._passes) or 1.0
-        largest = sorted(self._passes, key=lambda item: -item[1])[:3]
-        return ", ".join(f"{name} {ms / total:.0%}" for name, ms in largest)
-
-
-def _sun_view(vertices: np.ndarray, side: int) -> HostView:
-    box = Bounds()
-    box.add(vertices)
-    return scene_views(sun().centre, box, box, side)[0]
-
-
-def _with_flag(gbuffer: GBuffer, image: wp.array, flag: int) -> np.ndarray:
-    """A vec3 image with a flag of its pixels as fourth channel, float32 (H, W, 4)."""
-    flags = (gbuffer.flags.numpy() & int(flag)) != 0
-    return np.concatenate([image.numpy(), flags[..., None]], axis=2, dtype=np.float32)
-
+from experiments.bench import frames, memory, passes, references, scaling, startup
+from experiments.bench.plan import Bench, SceneMissing
+from experiments.bench.rows import Row, Target
+from wkernels.errors import InputError, nearest
 
 CASES: dict[str, Callable[[Bench, str], Iterator[Row]]] = {
-    **{f"depth_{size}": partial(draw_depth, size=size) for size in ("10k", "250k", "2500k")},
-    "gbuffer_250k": draw_gbuffer,
-    "pcss_16_16": filter_pcss,
-    "threads_1_2": scale_threads,
-    "frames": render_frames,
+    **{f"depth_{size}": partial(passes.draw_depth, size=size) for size in ("10k", "250k", "2500k")},
+    "gbuffer_250k": passes.draw_gbuffer,
+    "pcss_16_16": passes.filter_pcss,
+    "reference_256": references.trace_beside_mitsuba,
+    "reference_embreex": references.trace_beside_embreex,
+    "paris_1024x768": frames.compare_frame_with_passes,
+    "tc_against_pcss": frames.compare_temporal,
+    "threads_1_2": passes.compare_threads,
+    **{f"frames.{scene}": partial(frames.walk_scene, scene_name=scene) for scene in ("overlap", "paris", "winter")},
+    "scale_threads": scaling.over_threads,
+    "scale_triangles": scaling.over_triangles,
+    "scale_map": scaling.over_map_size,
+    "scale_image": scaling.over_image_size,
+    "scale_samples": scaling.over_samples,
+    "memory_1000_frames": memory.draw_many,
+    "start_help": startup.start_help,
+    "start_render": startup.start_render,
+    "compile_cold": startup.compile_cold,
 }
 """The cases by name, in the order in which they run; a case yields one row or several."""
+
+TARGETS = {
+    "depth_10k": Target(ratio=2.2),
+    "depth_250k": Target(ratio=4.5),
+    "depth_2500k": Target(ratio=5.0),
+    "gbuffer_250k": Target(ratio=3.5),
+    "pcss_16_16": Target(ratio=5.5),
+    "reference_256": Target(ratio=1.0),
+    "paris_1024x768": Target(ratio=1.0),
+    "tc_against_pcss": Target(ratio=2.0),
+    "threads_1_2.rasteriser": Target(ratio=1.7),
+    "threads_1_2.pcss": Target(ratio=1.9),
+    "start_help": Target(ms=1500.0),
+    "start_render": Target(ms=4000.0),
+    "compile_cold.everything": Target(ms=60_000.0),
+    "compile_cold.demo": Target(ms=20_000.0),
+}
+"""What rows should reach, by their names, on a machine of two cores with AVX-512; shown, never enforced."""
+
+
+def select(wanted: Sequence[str]) -> list[str]:
+    """Names of the cases that begin with any of ``wanted``, in the order of ``CASES``; all of them if it is empty.
+
+    Raises:
+        InputError: No case begins so.
+    """
+    for name in wanted:
+        if not any(case.startswith(name) for case in CASES):
+            raise InputError(f"there is no case '{name}'." + nearest(name, CASES), key="--case")
+    return [case for case in CASES if not wanted or case.startswith(tuple(wanted))]
+
+
+def run_case(bench: Bench, name: str) -> list[Row]:
+    """The rows of one case with their targets; one row that says so where its scene is missing."""
+    try:
+        rows = list(CASES[name](bench, name))
+    except SceneMissing as missing:
+        rows = [Row(name, None, note=str(missing))]
+    return [replace(row, target=TARGETS.get(row.name)) for row in rows]
+
+
+def summary(name: str) -> str:
+    """First line of what a case's docstring says."""
+    case = CASES[name]
+    function = case.func if isinstance(case, partial) else case
+    return (function.__doc__ or "").strip().splitlines()[0]

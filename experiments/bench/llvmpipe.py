@@ -11,14 +11,11 @@ from typing import Any
 import numpy as np
 
 from experiments.bench import shaders
+from experiments.bench.rows import PeerMissing
 from wkernels.views import HostView
 
 MAX_DEVICES = 8  # EGL devices that are asked; a GPU's driver may come first
 NAME = "llvmpipe"
-
-
-class PeerMissing(Exception):
-    """The peer cannot run here; the message says why, for the rows that it leaves empty."""
 
 
 class Llvmpipe:
@@ -41,17 +38,18 @@ class Llvmpipe:
         self._context.release()
 
     def triangle_pass(
-        self, vertices: np.ndarray, faces: np.ndarray, view: HostView, with_triangles: bool
+        self, vertices: np.ndarray, faces: np.ndarray, view: HostView, with_triangles: bool, cull: bool = True
     ) -> TrianglePass:
-        """A pass that draws back-face culled triangles into depth, and their numbers if wanted.
+        """A pass that draws triangles into depth, and their numbers if wanted.
 
         Args:
             vertices: float32 (V, 3).
             faces: int32 (F, 3).
             view: Size and projection.
             with_triangles: Whether there is an integer target besides the depth.
+            cull: Whether back faces are left out.
         """
-        return TrianglePass(self._context, vertices, faces, view, with_triangles)
+        return TrianglePass(self._context, vertices, faces, view, with_triangles, cull)
 
     def pcss_pass(self, images: Mapping[str, np.ndarray], taps: Mapping[str, np.ndarray], **values: Any) -> PixelPass:
         """Percentage-closer soft shadows of every pixel.
@@ -71,12 +69,18 @@ class TrianglePass:
     """See ``Llvmpipe.triangle_pass``."""
 
     def __init__(
-        self, context: Any, vertices: np.ndarray, faces: np.ndarray, view: HostView, with_triangles: bool
+        self,
+        context: Any,
+        vertices: np.ndarray,
+        faces: np.ndarray,
+        view: HostView,
+        with_triangles: bool,
+        cull: bool,
     ) -> None:
         import moderngl
 
         self._context, self._view = context, view
-        self._state = moderngl.DEPTH_TEST | moderngl.CULL_FACE
+        self._state = moderngl.DEPTH_TEST | (moderngl.CULL_FACE if cull else 0)
         fragment = shaders.TRIANGLE if with_triangles else shaders.DEPTH_ONLY
         program = context.program(vertex_shader=shaders.VERTEX, fragment_shader=fragment)
         program["ws_to_clip"].write(_column_major(clip_matrix(view)))

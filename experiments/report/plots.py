@@ -4,89 +4,25 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, PercentFormatter
+from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from experiments.report.labels import place_labels
+from experiments.report.style import COLORS, INK, Look, log_axis, new_figure, styled
 
-INK = "#1f2430"  # text and lines; the page replaces it by its own text colour
-_STYLE: dict[str, Any] = {
-    "font.size": 10.0,
-    "font.family": "DejaVu Sans",
-    "axes.edgecolor": INK,
-    "axes.labelcolor": INK,
-    "axes.titlecolor": INK,
-    "text.color": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#8a93a6",
-    "grid.alpha": 0.25,
-    "grid.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "legend.frameon": False,
-    "svg.hashsalt": "wkernels",  # same data, same file
-    "svg.fonttype": "path",
-}
-# Okabe and Ito's colours, readable with every colour vision, in an order that also keeps neighbours apart in grey.
-_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#8c6bb1", "#b8860b", "#2f4b7c")
-_MARKERS = "osD^vPX<>h*"
-_DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (6, 2, 1, 2)))
 _FAINT = 0.45
 _SMALL = 0.01
-
-
-def _styled() -> AbstractContextManager[None]:
-    style: Any = _STYLE  # matplotlib's type of this argument lists every key by name
-    return rc_context(style)
-
-
-class Look:
-    """Colour, marker and dash of each label, the same in all plots of a report."""
-
-    def __init__(self, labels: Sequence[str]) -> None:
-        self._index = {label: i for i, label in enumerate(labels)}
-
-    def color(self, label: str) -> str:
-        """Hex colour."""
-        return _COLORS[self._index[label] % len(_COLORS)]
-
-    def marker(self, label: str) -> str:
-        """Matplotlib marker."""
-        return _MARKERS[self._index[label] % len(_MARKERS)]
-
-    def dash(self, label: str) -> Any:
-        """Matplotlib line style; changes when the colours start again."""
-        return _DASHES[self._index[label] // len(_COLORS) % len(_DASHES)]
-
-
-def save(figure: Figure, path: Path, suffixes: Sequence[str]) -> None:
-    """Writes ``path`` with each suffix; dates are left out so that the same data gives the same bytes."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    dates: dict[str, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
-    with _styled():
-        for suffix in suffixes:
-            metadata: Any = dates.get(suffix, {})
-            figure.savefig(
-                path.with_suffix(f".{suffix}"), dpi=160, facecolor="white", bbox_inches="tight", metadata=metadata
-            )
 
 
 def inline_svg(figure: Figure) -> str:
     """The figure as an SVG element whose ink follows the page's text colour."""
     text = io.StringIO()
-    with _styled():
+    with styled():
         figure.savefig(text, format="svg", transparent=True, bbox_inches="tight", metadata={"Date": None})
     svg = text.getvalue()
     return svg[svg.index("<svg") :].replace(INK, "currentColor")
@@ -104,8 +40,8 @@ def error_vs_time(
         title: Name of the error on its axis.
     """
     known = summary[np.isfinite(summary["frame_ms"]) & np.isfinite(summary[errors])]
-    with _styled():
-        figure, axes = _figure(8.0, 5.2)
+    with styled():
+        figure, axes = new_figure(8.0, 5.2)
         axes.set_xlabel("frame time [ms] (median and quartiles over frames)")
         axes.set_ylabel(f"{title} (median and quartiles)")
         if known.empty:
@@ -126,8 +62,8 @@ def error_vs_time(
                 alpha=1.0 if row["pareto"] else _FAINT,
                 zorder=4 if row["pareto"] else 3,
             )
-        _log_axis(axes, "x", [known["frame_ms_q1"], known["frame_ms_q3"]])
-        _log_axis(axes, "y", [known[errors], known[f"{errors}_q1"], known[f"{errors}_q3"]])
+        log_axis(axes, "x", [known["frame_ms_q1"], known["frame_ms_q3"]])
+        log_axis(axes, "y", [known[errors], known[f"{errors}_q1"], known[f"{errors}_q3"]])
         strokes = _draw_front(axes, front["frame_ms"].to_numpy(float), front[errors].to_numpy(float))
         limit = 2.0 * float(known["reference_standard_error"].median())
         low, high = axes.get_ylim()
@@ -179,8 +115,8 @@ def per_frame(frames: pd.DataFrame, look: Look, column: str, title: str, *, log:
         log: Logarithmic axis.
         sparse: Mark each value, because few frames have one.
     """
-    with _styled():
-        figure, axes = _figure(8.0, 4.0)
+    with styled():
+        figure, axes = new_figure(8.0, 4.0)
         axes.set_xlabel("frame")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_ylabel(title)
@@ -201,7 +137,7 @@ def per_frame(frames: pd.DataFrame, look: Look, column: str, title: str, *, log:
                 label=label,
             )
         if log:
-            _log_axis(axes, "y", [known[column]])
+            log_axis(axes, "y", [known[column]])
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=9)
         return figure
 
@@ -209,8 +145,8 @@ def per_frame(frames: pd.DataFrame, look: Look, column: str, title: str, *, log:
 def frame_times(frames: pd.DataFrame, look: Look) -> Figure:
     """Distribution of frame times over frames, a box per label (median, quartiles, range)."""
     labels = list(dict.fromkeys(frames["label"]))
-    with _styled():
-        figure, axes = _figure(8.0, 0.9 + 0.36 * len(labels))
+    with styled():
+        figure, axes = new_figure(8.0, 0.9 + 0.36 * len(labels))
         values = [frames.loc[frames["label"] == label, "frame_ms"].to_numpy(float) for label in labels]
         boxes = axes.boxplot(
             values,
@@ -225,7 +161,7 @@ def frame_times(frames: pd.DataFrame, look: Look) -> Figure:
         )
         for box, label in zip(boxes["boxes"], labels, strict=True):
             box.set(facecolor=look.color(label), alpha=0.75, edgecolor=INK)
-        _log_axis(axes, "x", [np.concatenate(values)])
+        log_axis(axes, "x", [np.concatenate(values)])
         axes.set_xlabel("frame time [ms]: median, quartiles, range over frames")
         axes.invert_yaxis()
         return figure
@@ -236,7 +172,7 @@ def pass_times(passes: pd.DataFrame, labels: Sequence[str]) -> Figure:
 
     Shares, because one slow label would leave nothing to see of the others; passes below ``_SMALL`` everywhere are one.
     """
-    with _styled():
+    with styled():
         table = passes.groupby(["label", "pass"], sort=False)["ms"].sum().unstack(fill_value=0.0)
         table = table.reindex([label for label in labels if label in table.index])
         totals = table.sum(axis=1)
@@ -246,11 +182,11 @@ def pass_times(passes: pd.DataFrame, labels: Sequence[str]) -> Figure:
         shares = [(name, share[name].to_numpy(float)) for name in order]
         if rest.max() > 0.0:
             shares.append((f"others, each below {_SMALL:.0%}", rest.to_numpy(float)))
-        figure, axes = _figure(8.0, 1.2 + 0.36 * len(table))
+        figure, axes = new_figure(8.0, 1.2 + 0.36 * len(table))
         left, rows = np.zeros(len(table)), np.arange(len(table))
         for i, (name, width) in enumerate(shares):
-            hatch = ("", "///", "...")[i // len(_COLORS) % 3]
-            axes.barh(rows, width, 0.62, left, color=_COLORS[i % len(_COLORS)], hatch=hatch, label=name, alpha=0.9)
+            hatch = ("", "///", "...")[i // len(COLORS) % 3]
+            axes.barh(rows, width, 0.62, left, color=COLORS[i % len(COLORS)], hatch=hatch, label=name, alpha=0.9)
             left += width
         per_frame_ms = totals / passes.groupby("label")["frame"].nunique().reindex(table.index)
         for row, ms in zip(rows, per_frame_ms, strict=True):
@@ -264,36 +200,8 @@ def pass_times(passes: pd.DataFrame, labels: Sequence[str]) -> Figure:
         return figure
 
 
-def _figure(width: float, height: float) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(width, height), dpi=100)
-    FigureCanvasAgg(figure)
-    return figure, figure.add_subplot()
-
-
 def _empty(figure: Figure, axes: Axes, why: str) -> Figure:
     axes.text(0.5, 0.5, why, ha="center", va="center", transform=axes.transAxes, alpha=0.7)
     axes.set_xticks([])
     axes.set_yticks([])
     return figure
-
-
-def _log_axis(axes: Axes, which: str, values: Sequence[Any]) -> None:
-    """A logarithmic axis around the values with plain numbers; symmetric around 0 below the least positive value."""
-    every = np.concatenate([np.asarray(part, dtype=float).ravel() for part in values])
-    every = every[np.isfinite(every)]
-    positive = every[every > 0.0]
-    set_scale, set_limits = getattr(axes, f"set_{which}scale"), getattr(axes, f"set_{which}lim")
-    axis = getattr(axes, f"{which}axis")
-    if not len(positive):
-        return
-    low, high = float(positive.min()), float(positive.max())
-    if len(positive) < len(every):  # exact zeros (a technique that equals the reference) must stay visible
-        set_scale("symlog", linthresh=low)
-        set_limits(-0.2 * low, high * 1.5)
-    else:
-        set_scale("log")
-        room = max((high / low) ** 0.12, 1.25)
-        set_limits(low / room, high * room)
-        axis.set_major_locator(LogLocator(base=10.0, subs=(1.0, 2.0, 5.0) if high / low < 300.0 else (1.0,)))
-        axis.set_minor_formatter(FuncFormatter(lambda value, _: ""))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from experiments import summary
 from experiments.images import ERROR_SCALE
 from experiments.metrics import METRICS
-from experiments.report import plots
+from experiments.report import plots, style
 from experiments.report.pictures import error_scale_css, picture_frames
 from experiments.store import Store
 from experiments.tables import write_text
@@ -44,7 +44,7 @@ def write_report(out: str | Path) -> Path:
         passes = summary.load_passes(store)
         figures = _draw(frames, passes, table)
         for name, (figure, suffixes) in figures.items():
-            plots.save(figure, store.out / "plots" / name, suffixes)
+            style.save(figure, store.out / "plots" / name, suffixes)
         svgs = {name: Markup(plots.inline_svg(figure)) for name, (figure, _) in figures.items()}
         write_text(store.out / "report.html", _page(store, frames, passes, table, svgs))
     except OSError as error:
@@ -54,7 +54,7 @@ def write_report(out: str | Path) -> Path:
 
 def _draw(frames: pd.DataFrame, passes: pd.DataFrame, table: pd.DataFrame) -> dict[str, tuple[Figure, tuple[str, ...]]]:
     labels = list(table["label"])
-    look = plots.Look(labels)
+    look = style.Look(labels)
     out: dict[str, tuple[Figure, tuple[str, ...]]] = {
         "error_vs_time": (plots.error_vs_time(table, look), _PAPER),
         "fps": (plots.per_frame(frames, look, "fps", "frames per second", log=True), _SCREEN),

@@ -5,23 +5,26 @@ from __future__ import annotations
 import builtins
 import json
 import sys
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from experiments import cli
-from experiments.bench import cases, rows
-from experiments.bench.cases import CASES, Bench, Sizes
+from experiments.bench import rows
+from experiments.bench.cases import CASES, TARGETS, run_case, select
 from experiments.bench.llvmpipe import Llvmpipe, PeerMissing, clip_matrix
 from experiments.bench.meshes import Mix, camera, spheres_on_terrain
-from experiments.bench.rows import Row, interleaved_medians
+from experiments.bench.plan import Bench, Sizes
+from experiments.bench.rows import Row, Target, interleaved_medians
 from experiments.commands import bench as command
 from wkernels.views import HostView, eye_view
 
 SMALL = Mix(12, 1, 12, radii=(10.0, 40.0))
 TINY = Sizes(map_side=64, image=(64, 48), frame=(32, 18), mixes=dict.fromkeys(("10k", "250k", "2500k", "soft"), SMALL))
-FIELDS = {"name", "ours_ms", "peer", "peer_ms", "ratio", "mismatch", "note"}
+FIELDS = {"name", "ours_ms", "peer", "peer_ms", "ratio", "target", "reached", "mismatch", "note"}
 PASSES = ("depth_10k", "depth_250k", "depth_2500k", "gbuffer_250k", "pcss_16_16")
 
 
@@ -48,8 +51,8 @@ def no_moderngl(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(builtins, "__import__", refuse)
 
 
-def in_json(capsys: pytest.CaptureFixture[str], *only: str) -> dict[str, Any]:
-    command.run_bench(only=only, as_json=True, threads=1, repeats=1, sizes=TINY)
+def in_json(capsys: pytest.CaptureFixture[str], *wanted: str) -> dict[str, Any]:
+    command.run_bench(cases=wanted, as_json=True, threads=1, repeats=1, sizes=TINY)
     result: dict[str, Any] = json.loads(capsys.readouterr().out)
     return result
 
@@ -58,7 +61,10 @@ def test_json_has_every_pass_and_its_environment(capsys: pytest.CaptureFixture[s
     result = in_json(capsys, *PASSES, "threads_1_2")
     assert set(result) == {"environment", "results"}
     assert result["environment"]["threads"] == 1 and result["environment"]["cpu"]
-    assert result["environment"]["peers"]["llvmpipe"]
+    environment = result["environment"]
+    assert set(environment["peers"]) == {"llvmpipe", "mitsuba", "embreex"} and all(environment["peers"].values())
+    assert {"cpu_flags", "load_average", "openblas_num_threads", "git", "cores"} <= set(environment)
+    assert {"warp-lang", "numpy"} <= set(environment["packages"])
     by_name = {row["name"]: row for row in result["results"]}
     assert list(by_name) == [*PASSES, "threads_1_2.rasteriser", "threads_1_2.pcss"]
     for row in by_name.values():
@@ -67,20 +73,9 @@ def test_json_has_every_pass_and_its_environment(capsys: pytest.CaptureFixture[s
         if row["ratio"] is not None:
             assert row["ratio"] == pytest.approx(row["peer_ms"] / row["ours_ms"])
     assert by_name["threads_1_2.pcss"]["peer"] == "1 thread"
-
-
-def test_frames_have_no_peer(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    known = cases.load_all()
-    monkeypatch.setattr(cases, "load_all", lambda: {name: known[name] for name in ("shadow_map", "tc_soft_paper")})
-    result = in_json(capsys, "frames")["results"]
-    assert [row["name"] for row in result] == ["frames.shadow_map", "frames.tc_soft_paper"]
-    assert all(row["ours_ms"] > 0.0 and row["peer"] is row["peer_ms"] is row["ratio"] is None for row in result)
-
-
-def test_frames_that_cannot_run_say_why(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
-    monkeypatch.setattr(cases, "OVERLAP", tmp_path / "overlap.yaml")
-    (row,) = CASES["frames"](Bench(TINY, 1, 1, "none"), "frames")
-    assert row.ours_ms is None and "overlap.yaml is missing" in row.note
+    for name, row in by_name.items():
+        assert row["target"] == f"ratio >= {TARGETS[name].ratio:g}"
+        assert row["reached"] == (None if row["ratio"] is None else row["ratio"] >= TARGETS[name].ratio)
 
 
 @pytest.mark.usefixtures("no_moderngl")
@@ -141,21 +136,70 @@ def test_a_different_image_is_a_mismatch(peer: Llvmpipe, monkeypatch: pytest.Mon
 
 
 def test_unknown_case_ends_with_status_2(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(sys, "argv", ["wkernels", "bench", "--only", "depth_10"])
+    monkeypatch.setattr(sys, "argv", ["wkernels", "bench", "--case", "depth_10k", "--case", "depht_10k"])
     with pytest.raises(SystemExit) as ended:
         cli.main()
     assert ended.value.code == 2
     captured = capsys.readouterr()
-    assert captured.err == "error: --only: there is no case 'depth_10'. Did you mean 'depth_10k'?\n"
+    assert captured.err == "error: --case: there is no case 'depht_10k'. Did you mean 'depth_10k'?\n"
     assert not captured.out
 
 
+def test_cases_are_selected_by_their_beginnings() -> None:
+    assert select(["pcss", "depth_2"]) == ["depth_250k", "depth_2500k", "pcss_16_16"]
+    assert select([]) == list(CASES)
+
+
+def test_list_names_every_case_and_times_nothing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["wkernels", "bench", "--list"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert not ended.value.code
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == list(CASES)
+    assert all(len(line.split()) > 3 for line in lines)  # each says what it times
+
+
+def test_targets_belong_to_cases() -> None:
+    assert all(any(row == case or row.startswith(f"{case}.") for case in CASES) for row in TARGETS)
+
+
+def test_a_row_knows_whether_its_target_is_reached() -> None:
+    fast, slow = Row("a", 2.0, "p", 5.0), Row("a", 4.0, "p", 5.0)
+    least, most = Target(ratio=2.0), Target(ms=3.0)
+    for target in (least, most):
+        assert replace(fast, target=target).reached is True
+        assert replace(slow, target=target).reached is False
+    assert replace(fast, peer_ms=None, target=least).reached is None
+    assert replace(fast, ours_ms=None, target=most).reached is None
+    assert fast.reached is None
+
+
+def test_further_figures_become_keys_of_the_row() -> None:
+    assert Row("a", 1.0, figures={"ns_per_triangle": 3.0}).to_json()["ns_per_triangle"] == 3.0
+
+
+def test_a_missing_scene_is_named(tmp_path: Path) -> None:
+    sizes = replace(TINY, scenes=dict.fromkeys(("overlap", "paris", "winter"), tmp_path / "gone.yaml"))
+    for name in ("frames.overlap", "reference_256", "paris_1024x768", "scale_samples", "memory_1000_frames"):
+        (row,) = run_case(Bench(sizes, 1, 1, "none"), name)
+        assert row.name == name and row.ours_ms is None and "gone.yaml is missing" in row.note
+
+
 def test_table_leaves_dashes_where_nothing_was_measured(capsys: pytest.CaptureFixture[str]) -> None:
-    command.print_table([Row("a", 2.0, "p", 5.0, 1e-4, "x"), Row("b", None, note="gone")])
-    head, first, second = capsys.readouterr().out.splitlines()
-    assert head.split() == ["case", "ours", "ms", "peer", "ms", "ratio", "mismatch", "peer", "note"]
-    assert first.split() == ["a", "2.00", "5.00", "2.50", "1.0e-04", "p", "x"]
-    assert second.split() == ["b", "-", "-", "-", "-", "-", "gone"]
+    table = [Row("a", 2.0, "p", 5.0, 1e-4, "x"), Row("b", None, note="gone")]
+    table += [Row("c", 2.0, target=Target(ms=1.0)), Row("d", 2.0, "p", 5.0, target=Target(ratio=2.5))]
+    table += [Row("e", 2.0, "p", target=Target(ratio=2.5))]
+    command.print_table(table)
+    head, first, second, *asked = capsys.readouterr().out.splitlines()
+    assert head.split() == ["case", "ours", "ms", "peer", "ms", "ratio", "mismatch", "target", "peer", "note"]
+    assert first.split() == ["a", "2.00", "5.00", "2.50", "1.0e-04", "-", "p", "x"]
+    assert second.split() == ["b", "-", "-", "-", "-", "-", "-", "gone"]
+    assert asked[0].split() == ["c", "2.00", "-", "-", "-", "<=", "1", "ms", "MISSED", "-"]
+    assert asked[1].split() == ["d", "2.00", "5.00", "2.50", "-", "ratio", ">=", "2.5", "reached", "p"]
+    assert asked[2].split() == ["e", "2.00", "-", "-", "-", "ratio", ">=", "2.5", "unknown", "p"]
 
 
 def test_sides_take_turns_and_warm_ups_do_not_count() -> None:
@@ -172,6 +216,17 @@ def test_sides_take_turns_and_warm_ups_do_not_count() -> None:
 
     assert interleaved_medians([side("a", [3.0, 1.0, 2.0]), side("b", [7.0, 9.0, 50.0])], 3) == [2.0, 9.0]
     assert "".join(turns[2 * rows.WARM_UPS :]) == "ababab"
+
+
+def test_a_round_of_timed_runs_is_always_made_and_none_begins_too_late() -> None:
+    runs: list[int] = []
+
+    def side() -> float:
+        runs.append(len(runs))
+        return 1.0
+
+    assert interleaved_medians([side], 5, warm_ups=0, most_s=0.0) == [1.0]
+    assert len(runs) == 1
 
 
 def test_mesh_is_what_its_mix_says() -> None:

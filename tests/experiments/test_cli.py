@@ -57,6 +57,14 @@ def test_help_loads_nothing_heavy() -> None:
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.parametrize("module", ["experiments.api", "experiments.commands.run", "experiments.commands.bench"])
+def test_openblas_has_one_thread_whatever_is_imported_first(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    code = f"import os, sys, {module}; print(os.environ.get('OPENBLAS_NUM_THREADS'), 'numpy' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["1", "True"]
+
+
 def test_help_names_every_command(wkernels: Run) -> None:
     status, out, _ = wkernels("--help")
     assert status == 0
