@@ -18,7 +18,7 @@ import warp as wp
 from wkernels import gbuffer as gb
 from wkernels.frame_result import G_BUFFER, SHADING, FrameResult, read_back
 from wkernels.geometry import Bounds, Geometry
-from wkernels.launch import launch
+from wkernels.launch import launch, wake_workers
 from wkernels.light_map import LightMap
 from wkernels.light_map_drawing import draw_light_map
 from wkernels.light_views import scene_views
@@ -153,6 +153,7 @@ class Session:
         self.light_views = None
         self._gbuffers.clear()
         self.standard_error = None
+        wake_workers(self.device, self.threads)
         self._timer.start()
         visibility = technique.render(self)
         gbuffer = self._gbuffers.get(visibility.shape) or self.gbuffer()

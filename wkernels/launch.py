@@ -39,6 +39,12 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_team.forget)
 
 
+def wake_workers(device: str, threads: int | None) -> None:
+    """Prepares for launches that follow at once: the first of them would find sleeping workers. Changes no result."""
+    if wp.get_device(device).is_cpu:
+        _team.wake(default_threads() if threads is None else threads)
+
+
 def launch(
     kernel: wp.Kernel,
     dim: int | Sequence[int],

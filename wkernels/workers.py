@@ -140,15 +140,24 @@ class Team:
             words[_TILE], words[_ROWS], words[_THREADS] = tile, rows, threads
             words[_BOUNDS], words[_LAST_BOUNDS] = ctypes.addressof(bounds), ctypes.addressof(last)
             words[_ARGUMENTS : _ARGUMENTS + threads] = [ctypes.addressof(a) for a in each]
-            self.job = self.job % 2**30 + 1
-            # spinning threads beyond the CPUs would only keep others from working
-            spins = self._spins if threads <= self._cpus else 0
-            for worker in self._workers[: threads - 1]:
-                worker.wake(spins)
+            self._wake(threads)
             self._offer.set_param_at_index(1, self.job)
             self._offer.launch()
             while words[_ACTIVE]:  # a worker that the system has put aside for longer than the caller spins
                 time.sleep(20e-6)
+
+    def wake(self, threads: int) -> None:
+        """Has workers that sleep look for work: to be called a little before ``run``, as waking up takes a while."""
+        if threads > 1 and self._workers and self._lock.acquire(blocking=False):
+            self._wake(threads)
+            self._lock.release()
+
+    def _wake(self, threads: int) -> None:
+        self.job = self.job % 2**30 + 1
+        # spinning threads beyond the CPUs would only keep others from working
+        spins = self._spins if threads <= self._cpus else 0
+        for worker in self._workers[: threads - 1]:
+            worker.wake(spins)
 
     def forget(self) -> None:
         """In a forked child: the workers are the parent's."""

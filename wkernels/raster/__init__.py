@@ -19,6 +19,7 @@ from typing import Literal
 import numpy as np
 import warp as wp
 
+from wkernels.launch import wake_workers
 from wkernels.raster.lane_bands import PIECE
 from wkernels.raster.lanes import MAX_TRIANGLES, LaneRasteriser, projection_kind
 from wkernels.raster.scratch import Scratch
@@ -76,6 +77,7 @@ class Rasteriser:
             triangle_out: int32 (H, W): its triangle, -1 where there is none.
             cull: CULL_NONE, CULL_BACK or CULL_FRONT, as seen from the view (counter-clockwise is front).
         """
+        wake_workers(self.device, self.threads)
         on_cpu = wp.get_device(self.device).is_cpu
         count = len(indices) // 3
         if on_cpu and self.path == "lanes" and count < MAX_TRIANGLES and view.width >= PIECE:
