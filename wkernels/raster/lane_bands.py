@@ -171,7 +171,7 @@ def draw_band(
     clip_triangle: wp.array(dtype=int),
     first_clipped: int,
     band_begin: wp.array(dtype=int),
-    band_list: wp.array(dtype=int),
+    band_list: wp.array(dtype=Ints),  # a run of triangles from every entry on
     band_rows: int,
     far: float,
     perspective: int,
@@ -210,7 +210,6 @@ def draw_band(
     by_a = Floats(0.0)
     by_b = Floats(0.0)
     by_c = Floats(0.0)
-    name = Floats(0.0)
     x0 = Ints(0)
     x1 = Ints(0)
     y0 = Ints(0)
@@ -218,8 +217,9 @@ def draw_band(
     wide = Ints(0)
     list_end = band_begin[band + 1]
     for i0 in range(band_begin[band], list_end, LANES):
+        listed = band_list[i0]
         for k in range(LANES):
-            t = band_list[wp.min(i0 + k, list_end - 1)]
+            t = listed[k]
             a = corners[t]
             b = corners[corner_pitch + t]
             c = corners[2 * corner_pitch + t]
@@ -279,13 +279,16 @@ def draw_band(
             y0[k] = upper
             y1[k] = wp.min(last_centre(high_y), bottom)
             wide[k] = wp.where(wp.max(high_x - low_x, high_y - low_y) > SMALL, 1, 0)
-            name[k] = float(wp.where(t < first_clipped, t, clip_triangle[wp.max(t - first_clipped, 0)]))
         for k in range(wp.min(LANES, list_end - i0)):
+            t = listed[k]
+            name = float(t)
+            if t >= first_clipped:
+                name = float(clip_triangle[t - first_clipped])
             if wide[k] != 0:
                 box = wp.vec4i(x0[k], y0[k], x1[k], y1[k])
-                draw_wide(target, corners, corner_pitch, vertex, key, band_list[i0 + k], name[k], box, cull, steps)
+                draw_wide(target, corners, corner_pitch, vertex, key, t, name, box, cull, steps)
             else:
-                name_piece = Piece(name[k])
+                name_piece = Piece(name)
                 rest = Piece(key_0[k])
                 low_piece = Piece(lowest[k])
                 high_piece = Piece(highest[k])

@@ -171,6 +171,9 @@ def cull_lanes(
     kept = Ints(0)
     survivors = int(t_begin)
     clipped = int(t_begin)
+    # neighbouring triangles mostly lie in the same band: they are counted when another one comes
+    last_span = int(0)
+    alike = int(0)
     for t0 in range(t_begin, t_end, LANES):
         corners_a = corners[t0 / LANES]
         corners_b = corners[pitch + t0 / LANES]
@@ -212,16 +215,23 @@ def cull_lanes(
             crossing += outside[k]
         for i in range(n):
             k = kept[i]
+            span = spans[k]
             survivor_out[survivors] = t0 + k
-            span_out[survivors] = spans[k]
+            span_out[survivors] = span
             survivors += 1
-            for band in range(spans[k] & 65535, (spans[k] >> 16) + 1):
-                counts_out[band, own] += 1
+            if span != last_span:
+                for band in range(last_span & 65535, (last_span >> 16) + 1):
+                    counts_out[band, own] += alike
+                last_span = span
+                alike = 0
+            alike += 1
         if crossing > 0:
             for k in range(wp.min(LANES, t_end - t0)):
                 if outside[k] != 0:
                     clipped_out[clipped] = t0 + k
                     clipped += 1
+    for band in range(last_span & 65535, (last_span >> 16) + 1):
+        counts_out[band, own] += alike
     found_out[0, own] = survivors - t_begin
     found_out[1, own] = clipped - t_begin
 
@@ -238,8 +248,24 @@ def list_bands(
 ):
     """Writes the survivors of one chunk into the bands' lists, in triangle order."""
     chunk = first + wp.tid()
+    current = int(-1)  # the band whose next slot is held
+    slot = int(0)
     for i in range(chunk_begin[chunk], chunk_begin[chunk] + found[0, chunk]):
-        for band in range(span[i] & 65535, (span[i] >> 16) + 1):
-            slot = next_slot[band, chunk]
-            next_slot[band, chunk] = slot + 1
+        band_a = span[i] & 65535
+        band_b = span[i] >> 16
+        if band_a != current or band_b != current:
+            if current >= 0:
+                next_slot[current, chunk] = slot
+            current = wp.where(band_a == band_b, band_a, -1)
+            if current >= 0:
+                slot = next_slot[current, chunk]
+        if current >= 0:
             list_out[slot] = survivor[i]
+            slot += 1
+        else:
+            for band in range(band_a, band_b + 1):
+                slot = next_slot[band, chunk]
+                next_slot[band, chunk] = slot + 1
+                list_out[slot] = survivor[i]
+    if current >= 0:
+        next_slot[current, chunk] = slot

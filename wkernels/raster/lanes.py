@@ -20,7 +20,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wkernels.raster.lane_bands import LANES as BAND_LANES
 from wkernels.raster.lane_bands import PIECE, IntPiece, Piece, Target, draw_band
+from wkernels.raster.lane_bands import Ints as BandInts
 from wkernels.raster.lane_culling import (
     LANES,
     Floats,
@@ -124,12 +126,15 @@ class LaneRasteriser:
         band_begin = scratch.array("band begin", (bands + 1,), int)
         band_begin.numpy()[: bands + 1] = starts[:: CHUNKS + 1]
         counts.numpy().ravel()[:] = starts[:-1]
-        band_list = scratch.array("band list", (int(starts[-1]),), int)
+        listed = int(starts[-1])
+        band_list = scratch.array("band list", (listed + BAND_LANES,), int)
+        band_list.numpy()[listed:] = 0  # lanes behind the end set up some triangle, which is not drawn
+        list_runs = wp.array(ptr=band_list.ptr, dtype=BandInts, shape=listed + 1, strides=(4,), device="cpu")
         begins = wp.array(chunk_begin, dtype=int, device="cpu")
         scratch.launch(list_bands, CHUNKS + 1, [survivor, span, begins, found, counts], [band_list])
 
         inputs = [self._corners, self._corner_pitch * LANES, self._vertex, self._key, clip_triangle, clip_begin]
-        inputs += [band_begin, band_list, band_rows, view.far, perspective, cull, _STEPS]
+        inputs += [band_begin, list_runs, band_rows, view.far, perspective, cull, _STEPS]
         scratch.launch(draw_band, bands, inputs, [_target(view, depth_out, triangle_out)], tile=1)
 
     def _point_runs(self, points_ws: wp.array) -> tuple[wp.array, wp.array]:
