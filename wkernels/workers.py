@@ -92,15 +92,15 @@ def serve_until_idle(words: wp.array(dtype=wp.int64), me: int, spins: int):
 
 
 @wp.kernel
-def offer(words: wp.array(dtype=wp.int64), job: int, spins: int):
+def offer(first: int, words: wp.array(dtype=wp.int64), job: int, spins: int):
     """Opens a job for the workers, takes tiles until none is left, and waits for the workers that are still busy."""
     offer_and_work(words, job, spins)
 
 
 @wp.kernel
-def serve(words: wp.array(dtype=wp.int64), me: int, spins: int):
-    """Takes tiles of every job that is opened, until none has been for so many looks."""
-    serve_until_idle(words, me, spins)
+def serve(first: int, words: wp.array(dtype=wp.int64), spins: int):
+    """As thread ``first`` of the team, takes tiles of every job that is opened, until none was for so many looks."""
+    serve_until_idle(words, first + wp.tid(), spins)
 
 
 def available_cpus() -> int:
@@ -141,7 +141,7 @@ class Team:
             words[_BOUNDS], words[_LAST_BOUNDS] = ctypes.addressof(bounds), ctypes.addressof(last)
             words[_ARGUMENTS : _ARGUMENTS + threads] = [ctypes.addressof(a) for a in each]
             self._wake(threads)
-            self._offer.set_param_at_index(1, self.job)
+            self._offer.set_param_at_index(2, self.job)
             self._offer.launch()
             while words[_ACTIVE]:  # a worker that the system has put aside for longer than the caller spins
                 time.sleep(20e-6)
@@ -167,14 +167,14 @@ class Team:
         self._memory = wp.zeros(_WORDS, dtype=wp.int64, device="cpu")
         self._words = self._memory.numpy()
         # one word that never changes: how many looks take how long, and both kernels compiled before threads start
-        idle = wp.launch(serve, dim=1, inputs=[self._memory, 0, 10_000], device="cpu", record_cmd=True)
+        idle = wp.launch(serve, dim=1, inputs=[0, self._memory, 10_000], device="cpu", record_cmd=True)
         idle.launch()
         begin = time.perf_counter()
         idle.launch()
         spent_s = max(time.perf_counter() - begin, 1e-6)
         self._spins = int(np.clip(SPIN_S / spent_s * 10_000, 100, 10_000_000))
         patience = min(4 * self._spins, 2**31 - 1)
-        self._offer = wp.launch(offer, dim=1, inputs=[self._memory, 0, patience], device="cpu", record_cmd=True)
+        self._offer = wp.launch(offer, dim=1, inputs=[0, self._memory, 0, patience], device="cpu", record_cmd=True)
 
 
 class _Worker:
@@ -182,7 +182,7 @@ class _Worker:
 
     def __init__(self, team: Team, memory: wp.array, me: int) -> None:
         self._team = team
-        self._serve = wp.launch(serve, dim=1, inputs=[memory, me, 0], device="cpu", record_cmd=True)
+        self._serve = wp.launch(serve, dim=1, inputs=[me, memory, 0], device="cpu", record_cmd=True)
         self._asleep, self._wake, self._spins = False, threading.Semaphore(0), 1
         threading.Thread(target=self._work, daemon=True, name=f"wkernels-{me}").start()
 
