@@ -7,7 +7,7 @@ import small_scenes
 import warp as wp
 
 from wkernels.raster import CULL_NONE, Rasteriser
-from wkernels.views import HostView
+from wkernels.views import HostView, View
 
 SUB = 256  # positions within a pixel that vertices snap to
 
@@ -26,7 +26,7 @@ def from_pixels(x: np.ndarray, y: np.ndarray, depth: np.ndarray | float) -> np.n
 def draw(
     points: np.ndarray,
     faces: np.ndarray,
-    view: HostView,
+    view: HostView | View,
     device: str,
     *,
     cull: int = CULL_NONE,
@@ -40,7 +40,7 @@ def draw(
     rasteriser.draw(
         wp.array(points.astype(np.float32), dtype=wp.vec3, device=device),
         wp.array(faces.astype(np.int32).ravel(), dtype=int, device=device),
-        view.to_device(),
+        view.to_device() if isinstance(view, HostView) else view,
         depth,
         triangle,
         cull,

@@ -8,7 +8,7 @@ import warp as wp
 from drawing import draw
 
 from wkernels.raster import CULL_BACK, CULL_FRONT, CULL_NONE, Rasteriser
-from wkernels.raster.lanes import ORTHOGRAPHIC, PERSPECTIVE, projection_kind
+from wkernels.raster.lanes import depth_key
 from wkernels.views import HostView, View
 
 FORWARD, RIGHT, UP = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
@@ -108,11 +108,42 @@ def test_jittered_grids_have_no_crack(cells: int, jitter: float) -> None:
     assert np.isfinite(depth).all() and (triangle >= 0).all()
 
 
-def test_a_warped_view_is_left_to_the_plain_path() -> None:
-    kind = [projection_kind(view_of(perspective, 8, 8).to_device()) for perspective in (True, False)]
-    assert kind == [PERSPECTIVE, ORTHOGRAPHIC]
-    warped = View()
-    rows = view_of(True, 8, 8).ws_to_ss
-    rows[3] += (0.1, 0.0, 0.0, 0.0)
-    warped.ws_to_ss = wp.mat44(*rows.astype(np.float32).ravel())
-    assert projection_kind(warped) is None
+def warp(view: HostView, towards: float) -> View:
+    """A view whose texels become denser along its y axis: a perspective frustum laid across the light's rays."""
+    rows = view.ws_to_ss
+    new = rows.copy()
+    # y in [-1, 1] to w in [1, 1 + towards], and y' / w' through the same two ends
+    new[3] = rows[3] * (1.0 + 0.5 * towards) + rows[1] * 0.5 * towards
+    new[1] = rows[1] * (1.0 + 0.5 * towards) + rows[3] * 0.5 * towards
+    out = view.to_device()
+    out.ws_to_ss = wp.mat44(*new.astype(np.float32).ravel())
+    return out
+
+
+@pytest.mark.parametrize("perspective", [True, False])
+@pytest.mark.parametrize("towards", [0.3, 20.0])
+@pytest.mark.parametrize("size", [0.5, 4.0, 60.0])
+def test_warped_views_are_drawn_as_the_twin_draws_them(perspective: bool, towards: float, size: float) -> None:
+    host = view_of(perspective, 203, 157)
+    view, plain = warp(host, towards), host.to_device()
+    assert depth_key(view).warped and not depth_key(plain).warped
+    points, faces = triangle_soup(np.random.default_rng(11), 60 if size > 10 else 3000, size)
+    images = [draw(points, faces, view, "cpu", rasteriser=Rasteriser("cpu", 2, path)) for path in ("lanes", "tiles")]
+    seen = np.isfinite(images[0][0]) & np.isfinite(images[1][0])
+    assert seen.mean() > 0.1
+    # w is down to 1/21 of the sum of its terms, and so is the factor: their rounding weighs 40 times as much
+    np.testing.assert_allclose(images[0][0][seen], images[1][0][seen], rtol=5e-6 if towards < 1.0 else 3e-4)
+    assert (images[0][1] != images[1][1]).mean() <= 1e-4
+    assert (np.isfinite(images[0][0]) != np.isfinite(images[1][0])).mean() <= 1e-4
+    assert (images[1][0] != draw(points, faces, plain, "cpu")[0]).mean() > 0.1
+
+
+def test_a_matrix_that_no_light_has_is_left_to_the_plain_path() -> None:
+    rows = view_of(False, 64, 64).ws_to_ss
+    rows[3] += rows[2] * 0.01  # w grows along the rays of a directional light
+    view = view_of(False, 64, 64).to_device()
+    view.ws_to_ss = wp.mat44(*rows.astype(np.float32).ravel())
+    assert depth_key(view) is None
+    points, faces = triangle_soup(np.random.default_rng(2), 500, 2.0)
+    images = [draw(points, faces, view, "cpu", rasteriser=Rasteriser("cpu", 2, path)) for path in ("lanes", "tiles")]
+    np.testing.assert_array_equal(images[0][0], images[1][0])

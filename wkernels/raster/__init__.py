@@ -7,7 +7,7 @@ triangle index wins (on the lane path pieces of clipped triangles come last). Re
 threads.
 
 - ``lanes``: the CPU's path, bands of rows with the inner loops written so that LLVM turns them into SIMD;
-- ``tiles``: the plain CPU path, for projections that are neither perspective nor orthographic, and the others' twin;
+- ``tiles``: the plain CPU path, the others' twin, for targets narrower than 8 pixels and matrices that no light has;
 - ``stripes``: CUDA;
 - ``triangles``: projection, clipping, coverage and depth functions that they share.
 """
@@ -21,7 +21,7 @@ import warp as wp
 
 from wkernels.launch import wake_workers
 from wkernels.raster.lane_bands import PIECE
-from wkernels.raster.lanes import MAX_TRIANGLES, LaneRasteriser, projection_kind
+from wkernels.raster.lanes import MAX_TRIANGLES, LaneRasteriser, depth_key
 from wkernels.raster.scratch import Scratch
 from wkernels.raster.stripes import draw_stripes
 from wkernels.raster.tiles import draw_tiles
@@ -82,8 +82,8 @@ class Rasteriser:
         count = len(indices) // 3
         if on_cpu and self.path == "lanes" and count < MAX_TRIANGLES and view.width >= PIECE:
             whole = depth_out.is_contiguous and (triangle_out is None or triangle_out.is_contiguous)
-            if whole and (kind := projection_kind(view)) is not None:
-                self._lanes.draw(points_ws, indices, view, kind, depth_out, triangle_out, cull)
+            if whole and (key := depth_key(view)) is not None:
+                self._lanes.draw(points_ws, indices, view, key, depth_out, triangle_out, cull)
                 return
         triangles, total = self._project(points_ws, indices, view, cull)
         with_triangles = int(triangle_out is not None)

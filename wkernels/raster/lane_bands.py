@@ -22,6 +22,7 @@ PIXEL_64 = wp.constant(wp.float64(256.0))
 FAR_KEY = wp.constant(1.0e30)
 UNCOVERED = wp.constant(-4.0e30)  # times (edge function + 1/2): beyond any key where negative, below any where not
 HUGE = wp.constant(1.0e38)
+LEAST_FACTOR = wp.constant(1.0e-30)  # beyond a warped view's horizon, where nothing is drawn
 
 Ints = wp.types.vector(length=LANES, dtype=wp.int32)
 Floats = wp.types.vector(length=LANES, dtype=wp.float32)
@@ -68,6 +69,34 @@ class Target:
     with_triangles: int
     width: int
     height: int
+
+
+@wp.struct
+class DepthKey:
+    """What the keys of a view are and how depths follow from them."""
+
+    perspective: int  # 1: key -1/w, depth = factor / -key; 0: key depth/w, depth = key / factor
+    warped: int  # whether the factor is not 1
+    constant: float  # factor = constant + per_column * column + per_row * row
+    per_column: float
+    per_row: float
+
+
+@wp.func
+def unwarp(key: DepthKey, target: Target, top: int, bottom: int, steps: Piece):
+    """Rewrites a band's keys as those that the view would have without a warp: of depth itself."""
+    width = target.width
+    least = Piece(LEAST_FACTOR)
+    for y in range(top, bottom + 1):
+        row = key.constant + key.per_row * float(y)
+        whole = width / PIECE * PIECE
+        for x in range(0, whole, PIECE):
+            factor = wp.max(steps * key.per_column + Piece(row + key.per_column * float(x)), least)
+            held = target.key_piece[y * width + x]
+            target.key_piece[y * width + x] = wp.cw_div(held, factor)
+        for x in range(whole, width):
+            factor_x = wp.max(row + key.per_column * float(x), LEAST_FACTOR)
+            target.key[y * width + x] = target.key[y * width + x] / factor_x
 
 
 @wp.func
@@ -174,7 +203,7 @@ def draw_band(
     band_list: wp.array(dtype=Ints),  # a run of triangles from every entry on
     band_rows: int,
     far: float,
-    perspective: int,
+    depth_key: DepthKey,
     cull: int,
     steps: Piece,
     target: Target,
@@ -187,6 +216,7 @@ def draw_band(
     begin = top * width
     end = (bottom + 1) * width
     last_piece = end - PIECE  # a band is at least a piece wide; clearing some pixels twice does no harm
+    perspective = depth_key.perspective
     background = wp.where(perspective == 1, 0.0, FAR_KEY)
     clear = Piece(background)
     nothing = Piece(-1.0)
@@ -311,6 +341,8 @@ def draw_band(
                         in_b += down_b
                         in_c += down_c
                         at += width
+    if depth_key.warped != 0:
+        unwarp(depth_key, target, top, bottom, steps)
     # Keys become depths; what lies beyond the far plane, and the background, overflows to infinity.
     one = Piece(1.0)
     zero = Piece(0.0)

@@ -90,7 +90,7 @@ def project_lanes(
         x_h = 0.5 * ((m00 * x + m01 * y + m02 * z + m03) + w) * width
         y_h = 0.5 * (w - (m10 * x + m11 * y + m12 * z + m13)) * height
         guard = GUARD_PIXELS * w
-        behind = wp.where(depth >= near, wp.where(w > 0.0, 0, 1), 1)
+        behind = wp.where(depth >= near, 0, 1) | wp.where(w > 0.0, 0, 32)  # two planes where the projection is warped
         beside = wp.where(x_h < -guard, 2, wp.where(x_h > guard, 4, 0))
         above = wp.where(y_h < -guard, 8, wp.where(y_h > guard, 16, 0))
         planes = behind | beside | above
@@ -101,7 +101,7 @@ def project_lanes(
         )
         snapped_y = int(wp.floor(wp.where(inside == 1, y_h, 0.0) * over_w * float(SUBPIXELS) + 0.5))
         vertices[k] = pack(column, wp.where(inside == 1, snapped_y, planes))
-        keys[k] = wp.where(perspective == 1, -over_w, depth)
+        keys[k] = wp.where(perspective == 1, -over_w, depth * over_w)
     vertex_out[run] = vertices
     key_out[run] = keys
 

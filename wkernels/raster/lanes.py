@@ -10,7 +10,7 @@ that is why coordinates are kept apart, and why ``where`` stands for ``if``. Cov
 edge functions of triangles up to 128 pixels wide fit 32 bits, and as all pixel centres share their value modulo one
 pixel, what is left after dividing by 256 fits the 24 bits of a float exactly. Wider triangles get the exact span of
 each row from 64-bit divisions. The key is the depth itself for orthographic views and -1/depth for perspective ones, so
-that nearer is less in both.
+that nearer is less in both; ``depth_key`` says what it is for warped ones.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 import warp as wp
 
 from wkernels.raster.lane_bands import LANES as BAND_LANES
-from wkernels.raster.lane_bands import PIECE, IntPiece, Piece, Target, draw_band
+from wkernels.raster.lane_bands import PIECE, DepthKey, IntPiece, Piece, Target, draw_band
 from wkernels.raster.lane_bands import Ints as BandInts
 from wkernels.raster.lane_culling import (
     LANES,
@@ -41,21 +41,43 @@ from wkernels.views import View
 MAX_TRIANGLES = 2**24  # the triangle of a pixel is kept in a float, next to its depth
 CHUNKS = 32
 BAND_BYTES = 2**18  # a band's depths stay in the second-level cache
-PERSPECTIVE, ORTHOGRAPHIC = 1, 0
 
 _STEPS = Piece(*range(PIECE))
 
 
-def projection_kind(view: View) -> int | None:
-    """PERSPECTIVE, ORTHOGRAPHIC, or None for a view whose depth key is not affine on the screen (a warped one)."""
-    rows = np.array(view.ws_to_ss, dtype=np.float32).reshape(4, 4)
-    if np.array_equal(rows[3], (0.0, 0.0, 0.0, 1.0)):
-        return ORTHOGRAPHIC
-    return PERSPECTIVE if np.array_equal(rows[3], rows[2]) else None
+def depth_key(view: View) -> DepthKey | None:
+    """How a view's depths follow from keys that are affine on the screen; None where the view has no such key.
+
+    All rays through pixels meet in the light (or are parallel to it), which is where x, y and w of the view's matrix
+    vanish. For a light at a finite place the linear depth vanishes there too, -1/w grows along each ray, and depth / w
+    is affine on the screen; for a direction depth / w grows, and 1 / w is affine. Without a warp these factors are 1.
+    """
+    rows = np.array(view.ws_to_ss, dtype=np.float32).reshape(4, 4).astype(np.float64)
+    out = DepthKey()
+    out.constant = 1.0
+    if np.array_equal(rows[3], (0.0, 0.0, 0.0, 1.0)) or np.array_equal(rows[3], rows[2]):
+        out.perspective = int(rows[3, 3] != 1.0 or rows[3, :3].any())
+        return out
+    scale = np.linalg.norm(rows, axis=1, keepdims=True)
+    if not (np.isfinite(rows).all() and scale.all()):
+        return None
+    plane, (x, y, depth, w) = rows / scale, (0, 1, 2, 3)
+    light = np.linalg.svd(plane[[x, y, w]])[2][-1]
+    out.perspective = int(abs(plane[depth] @ light) < 1e-4)
+    target = rows[depth] if out.perspective else np.array([0.0, 0.0, 0.0, 1.0])
+    basis = rows[[w, x, y]].T
+    factors, *_ = np.linalg.lstsq(basis, target, rcond=None)
+    if np.linalg.norm(basis @ factors - target) > 1e-4 * np.linalg.norm(target):
+        return None
+    # from [-1, 1] to the centres of pixels
+    in_x, in_y = 2.0 * factors[1] / view.width, -2.0 * factors[2] / view.height
+    out.warped, out.per_column, out.per_row = 1, in_x, in_y
+    out.constant = factors[0] - factors[1] + factors[2] + 0.5 * (in_x + in_y)
+    return out
 
 
 class LaneRasteriser:
-    """Draws perspective and orthographic views on the CPU.
+    """Draws perspective, orthographic and warped views on the CPU.
 
     Args:
         scratch: Memory, device and threads.
@@ -71,12 +93,12 @@ class LaneRasteriser:
         points_ws: wp.array,
         indices: wp.array,
         view: View,
-        perspective: int,
+        key: DepthKey,
         depth_out: wp.array,
         triangle_out: wp.array | None,
         cull: int,
     ) -> None:
-        """``Rasteriser.draw`` for fewer than MAX_TRIANGLES triangles; ``perspective`` is ``projection_kind(view)``."""
+        """``Rasteriser.draw`` for fewer than MAX_TRIANGLES triangles; ``key`` is ``depth_key(view)``."""
         scratch = self._scratch
         vertices, triangles = len(points_ws), len(indices) // 3
         clip_vertex, clip_begin = _runs(vertices) * LANES, _runs(triangles) * LANES  # where those of clipped ones go
@@ -87,7 +109,7 @@ class LaneRasteriser:
         self._hold_corners(indices, clip_begin)
         self._hold_vertices(clip_vertex)
         if vertices:
-            inputs: list[Any] = [*self._point_runs(points_ws), view, perspective]
+            inputs: list[Any] = [*self._point_runs(points_ws), view, key.perspective]
             scratch.launch(project_lanes, _runs(vertices), inputs, [self._vertex_runs, self._key_runs])
 
         survivor, span, clipped = (scratch.array(name, (triangles,), int) for name in ("survivor", "span", "clipped"))
@@ -116,7 +138,7 @@ class LaneRasteriser:
             self._hold_corners(indices, total)
             self._hold_vertices(clip_vertex + slots * CLIP_VERTICES, keep=clip_vertex)
             survivor, span = (self._grown(name, total, triangles) for name in ("survivor", "span"))
-            inputs = [clip_screen, clip_corners, clip_vertex, clip_begin, perspective]
+            inputs = [clip_screen, clip_corners, clip_vertex, clip_begin, key.perspective]
             outputs = [self._vertex, self._key, self._corners, self._corner_pitch * LANES]
             scratch.launch(append_clipped, slots, inputs, outputs)
             inputs = [self._corner_runs, self._corner_pitch, self._vertex, clip_begin, total, CHUNKS, 1, *shape]
@@ -134,7 +156,7 @@ class LaneRasteriser:
         scratch.launch(list_bands, CHUNKS + 1, [survivor, span, begins, found, counts], [band_list])
 
         inputs = [self._corners, self._corner_pitch * LANES, self._vertex, self._key, clip_triangle, clip_begin]
-        inputs += [band_begin, list_runs, band_rows, view.far, perspective, cull, _STEPS]
+        inputs += [band_begin, list_runs, band_rows, view.far, key, cull, _STEPS]
         scratch.launch(draw_band, bands, inputs, [_target(view, depth_out, triangle_out)], tile=1)
 
     def _point_runs(self, points_ws: wp.array) -> tuple[wp.array, wp.array]:
