@@ -48,9 +48,23 @@ class Shaft:
     top: wp.vec3
 
 
+@wp.struct
+class ShaftFrame:
+    """The shaft's axis and the two directions across, and the slopes along these that hold every way to the light."""
+
+    axis: wp.vec3
+    u: wp.vec3
+    v: wp.vec3
+    low_u: float
+    high_u: float
+    low_v: float
+    high_v: float
+    narrow: int  # 0: some way is nearly across the axis, and no slopes hold it
+
+
 @wp.func
-def shaft_to_light(hull: LightHull, origin_ws: wp.vec3):
-    """The pyramid around the hull's corners, two of its sides parallel to the hull's first edge."""
+def shaft_frame(hull: LightHull, origin_ws: wp.vec3):
+    """The frame around the hull's corners, its first direction across along the hull's first edge."""
     corners = hull.corners.shape[0]
     axis = wp.vec3()
     for i in range(corners):
@@ -62,6 +76,10 @@ def shaft_to_light(hull: LightHull, origin_ws: wp.vec3):
         u = wp.cross(axis, wp.where(wp.abs(axis[0]) < 0.6, wp.vec3(1.0, 0.0, 0.0), wp.vec3(0.0, 1.0, 0.0)))
     u = wp.normalize(u)
     v = wp.cross(axis, u)
+    out = ShaftFrame()
+    out.axis = axis
+    out.u = u
+    out.v = v
     low_u = float(wp.inf)
     low_v = float(wp.inf)
     high_u = float(-wp.inf)
@@ -78,13 +96,31 @@ def shaft_to_light(hull: LightHull, origin_ws: wp.vec3):
         low_v = wp.min(low_v, wp.dot(way, v) / depth)
         high_u = wp.max(high_u, wp.dot(way, u) / depth)
         high_v = wp.max(high_v, wp.dot(way, v) / depth)
-    shaft = Shaft()
     if narrow:
-        shaft.left = wp.normalize(u - axis * (low_u - slack))
-        shaft.right = wp.normalize(axis * (high_u + slack) - u)
-        shaft.bottom = wp.normalize(v - axis * (low_v - slack))
-        shaft.top = wp.normalize(axis * (high_v + slack) - v)
+        out.low_u = low_u - slack
+        out.high_u = high_u + slack
+        out.low_v = low_v - slack
+        out.high_v = high_v + slack
+        out.narrow = 1
+    return out
+
+
+@wp.func
+def shaft_of(frame: ShaftFrame):
+    """The pyramid of a frame's slopes."""
+    shaft = Shaft()
+    if frame.narrow != 0:
+        shaft.left = wp.normalize(frame.u - frame.axis * frame.low_u)
+        shaft.right = wp.normalize(frame.axis * frame.high_u - frame.u)
+        shaft.bottom = wp.normalize(frame.v - frame.axis * frame.low_v)
+        shaft.top = wp.normalize(frame.axis * frame.high_v - frame.v)
     return shaft
+
+
+@wp.func
+def shaft_to_light(hull: LightHull, origin_ws: wp.vec3):
+    """The pyramid around the hull's corners, two of its sides parallel to the hull's first edge."""
+    return shaft_of(shaft_frame(hull, origin_ws))
 
 
 @wp.func

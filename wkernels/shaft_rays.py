@@ -12,33 +12,37 @@ Receivers whose pyramid is empty are proven lit, and those of which every ray wa
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import warp as wp
 
-from wkernels.caster_tree import CasterTree, Eight
+from wkernels.caster_tree import WIDTH, CasterTree, Eight
 from wkernels.gbuffer import GBuffer
 from wkernels.geometry import CASTS, RECEIVES
-from wkernels.light_proofs import LightHull, shaft_to_light
+from wkernels.light_proofs import SHAFT_SLACK, LightHull, Shaft, ShaftFrame, shaft_frame, shaft_of
 from wkernels.rays import NO_RECEIVER, PROVEN_DARK, PROVEN_LIT, TRACED, ray_origin
 
 LANES = wp.constant(64)
 GROUPS = wp.constant(4)  # of 64 samples, per walk of the tree
-Floats = wp.types.vector(length=LANES, dtype=wp.float32)
+BATCH = 256  # samples of one walk
+Floats = wp.types.vector(length=BATCH, dtype=wp.float32)
+Masks = wp.types.vector(length=WIDTH, dtype=wp.int32)
+Slopes = wp.types.vector(length=4 * GROUPS, dtype=wp.float32)
 Stack = wp.types.vector(length=96, dtype=wp.int32)  # 7 siblings for each of at most 10 levels, and the last one's 8
 ROUNDING = wp.constant(4.0e-6)  # of box and corner coordinates against the shaft's sides, relative to the scene's size
 BEFORE_SAMPLE = wp.constant(1.0 - 1.0e-6)  # share of the way at which a caster still hides a sample
 
 
 @wp.struct
-class SampleRuns:
-    """Samples of a light in runs of 64; the last run repeats its last sample with weight 0."""
+class SampleBatches:
+    """Samples of a light in batches of 256, in groups of 64; the last ones repeat the last sample with weight 0."""
 
     x: wp.array(dtype=Floats)
     y: wp.array(dtype=Floats)
     z: wp.array(dtype=Floats)
     weight: wp.array(dtype=Floats)
+    low: wp.array(dtype=wp.vec3)  # box of each group
+    high: wp.array(dtype=wp.vec3)
+    groups: int
 
 
 @wp.struct
@@ -65,8 +69,11 @@ def cross_unfused(a: wp.vec3, b: wp.vec3):
 
 
 @wp.func
-def edge_planes(a: wp.vec3, b: wp.vec3, c: wp.vec3, origin_ws: wp.vec3, is_point: float):
-    """Planes of a triangle whose corners are relative to the receiver."""
+def edge_planes(tree: CasterTree, leaf: int, k: int, origin_ws: wp.vec3, is_point: float):
+    """Planes of triangle ``k`` of a leaf."""
+    a = wp.vec3(tree.triangle[leaf, 0][k], tree.triangle[leaf, 1][k], tree.triangle[leaf, 2][k]) - origin_ws
+    b = wp.vec3(tree.triangle[leaf, 3][k], tree.triangle[leaf, 4][k], tree.triangle[leaf, 5][k]) - origin_ws
+    c = wp.vec3(tree.triangle[leaf, 6][k], tree.triangle[leaf, 7][k], tree.triangle[leaf, 8][k]) - origin_ws
     out = EdgePlanes()
     out.a = cross_unfused(b, c)
     out.b = cross_unfused(c, a)
@@ -82,68 +89,169 @@ def edge_planes(a: wp.vec3, b: wp.vec3, c: wp.vec3, origin_ws: wp.vec3, is_point
 
 
 @wp.func
-def hide(hidden: Floats, x: Floats, y: Floats, z: Floats, planes: EdgePlanes, limit: float):
-    """``hidden`` (a lane is hidden where it is >= 0), with one more triangle."""
-    a_x, a_y, a_z = planes.a[0], planes.a[1], planes.a[2]
-    b_x, b_y, b_z = planes.b[0], planes.b[1], planes.b[2]
-    c_x, c_y, c_z = planes.c[0], planes.c[1], planes.c[2]
-    a_0, b_0, c_0 = planes.offset[0], planes.offset[1], planes.offset[2]
-    height = planes.height
-    for k in range(LANES):
-        e_a = x[k] * a_x + y[k] * a_y + z[k] * a_z - a_0
-        e_b = x[k] * b_x + y[k] * b_y + z[k] * b_z - b_0
-        e_c = x[k] * c_x + y[k] * c_y + z[k] * c_z - c_0
-        before = (e_a + e_b + e_c) * limit - height
-        hidden[k] = wp.max(hidden[k], wp.min(wp.min(e_a, e_b), wp.min(e_c, before)))
-    return hidden
+def reach_of_children(tree: CasterTree, at: int, origin: wp.vec3, shaft: Shaft, own_side: wp.vec3):
+    """How far each child of a node reaches into the shaft and before the receiver's plane; negative: not at all."""
+    low_xs = tree.low_x[at]
+    low_ys = tree.low_y[at]
+    low_zs = tree.low_z[at]
+    high_xs = tree.high_x[at]
+    high_ys = tree.high_y[at]
+    high_zs = tree.high_z[at]
+    o_x, o_y, o_z = origin[0], origin[1], origin[2]
+    l_x, l_y, l_z = shaft.left[0], shaft.left[1], shaft.left[2]
+    r_x, r_y, r_z = shaft.right[0], shaft.right[1], shaft.right[2]
+    b_x, b_y, b_z = shaft.bottom[0], shaft.bottom[1], shaft.bottom[2]
+    t_x, t_y, t_z = shaft.top[0], shaft.top[1], shaft.top[2]
+    n_x, n_y, n_z = own_side[0], own_side[1], own_side[2]
+    out = Eight()
+    for k in range(8):
+        x0 = low_xs[k] - o_x
+        y0 = low_ys[k] - o_y
+        z0 = low_zs[k] - o_z
+        x1 = high_xs[k] - o_x
+        y1 = high_ys[k] - o_y
+        z1 = high_zs[k] - o_z
+        left = wp.max(x0 * l_x, x1 * l_x) + wp.max(y0 * l_y, y1 * l_y) + wp.max(z0 * l_z, z1 * l_z)
+        right = wp.max(x0 * r_x, x1 * r_x) + wp.max(y0 * r_y, y1 * r_y) + wp.max(z0 * r_z, z1 * r_z)
+        bottom = wp.max(x0 * b_x, x1 * b_x) + wp.max(y0 * b_y, y1 * b_y) + wp.max(z0 * b_z, z1 * b_z)
+        top = wp.max(x0 * t_x, x1 * t_x) + wp.max(y0 * t_y, y1 * t_y) + wp.max(z0 * t_z, z1 * t_z)
+        own = wp.max(x0 * n_x, x1 * n_x) + wp.max(y0 * n_y, y1 * n_y) + wp.max(z0 * n_z, z1 * n_z)
+        out[k] = wp.min(wp.min(wp.min(left, right), wp.min(bottom, top)), own)
+    return out
+
+
+@wp.struct
+class LeafView:
+    """A leaf's triangles in the frame of a shaft: along u, along v and along the axis, from the receiver."""
+
+    a_u: Eight
+    a_v: Eight
+    a_d: Eight
+    b_u: Eight
+    b_v: Eight
+    b_d: Eight
+    c_u: Eight
+    c_v: Eight
+    c_d: Eight
+    above: Eight  # highest corner above the receiver's plane
 
 
 @wp.func
-def behind_surface(x: Floats, y: Floats, z: Floats, position_ws: wp.vec3, normal_ws: wp.vec3, casts: int):
-    """1 for the samples that the receiver's own surface hides, -1 for the others."""
-    n_x, n_y, n_z = normal_ws[0], normal_ws[1], normal_ws[2]
-    p_x, p_y, p_z = position_ws[0], position_ws[1], position_ws[2]
-    out = Floats(-1.0)
-    if casts != 0:
-        for k in range(LANES):
-            facing = n_x * (x[k] - p_x) + n_y * (y[k] - p_y) + n_z * (z[k] - p_z)
-            out[k] = wp.where(facing <= 0.0, 1.0, -1.0)
+def view_leaf(tree: CasterTree, leaf: int, origin: wp.vec3, frame: ShaftFrame, normal: wp.vec3):
+    """The triangles of a leaf as ``LeafView``."""
+    a_xs = tree.triangle[leaf, 0]
+    a_ys = tree.triangle[leaf, 1]
+    a_zs = tree.triangle[leaf, 2]
+    b_xs = tree.triangle[leaf, 3]
+    b_ys = tree.triangle[leaf, 4]
+    b_zs = tree.triangle[leaf, 5]
+    c_xs = tree.triangle[leaf, 6]
+    c_ys = tree.triangle[leaf, 7]
+    c_zs = tree.triangle[leaf, 8]
+    o_x, o_y, o_z = origin[0], origin[1], origin[2]
+    u_x, u_y, u_z = frame.u[0], frame.u[1], frame.u[2]
+    v_x, v_y, v_z = frame.v[0], frame.v[1], frame.v[2]
+    d_x, d_y, d_z = frame.axis[0], frame.axis[1], frame.axis[2]
+    n_x, n_y, n_z = normal[0], normal[1], normal[2]
+    a_u = Eight()
+    a_v = Eight()
+    a_d = Eight()
+    b_u = Eight()
+    b_v = Eight()
+    b_d = Eight()
+    c_u = Eight()
+    c_v = Eight()
+    c_d = Eight()
+    above = Eight()
+    for k in range(8):
+        x0 = a_xs[k] - o_x
+        y0 = a_ys[k] - o_y
+        z0 = a_zs[k] - o_z
+        x1 = b_xs[k] - o_x
+        y1 = b_ys[k] - o_y
+        z1 = b_zs[k] - o_z
+        x2 = c_xs[k] - o_x
+        y2 = c_ys[k] - o_y
+        z2 = c_zs[k] - o_z
+        a_u[k] = x0 * u_x + y0 * u_y + z0 * u_z
+        a_v[k] = x0 * v_x + y0 * v_y + z0 * v_z
+        a_d[k] = x0 * d_x + y0 * d_y + z0 * d_z
+        b_u[k] = x1 * u_x + y1 * u_y + z1 * u_z
+        b_v[k] = x1 * v_x + y1 * v_y + z1 * v_z
+        b_d[k] = x1 * d_x + y1 * d_y + z1 * d_z
+        c_u[k] = x2 * u_x + y2 * u_y + z2 * u_z
+        c_v[k] = x2 * v_x + y2 * v_y + z2 * v_z
+        c_d[k] = x2 * d_x + y2 * d_y + z2 * d_z
+        above[k] = wp.max(
+            x0 * n_x + y0 * n_y + z0 * n_z,
+            wp.max(x1 * n_x + y1 * n_y + z1 * n_z, x2 * n_x + y2 * n_y + z2 * n_z),
+        )
+    out = LeafView()
+    out.a_u = a_u
+    out.a_v = a_v
+    out.a_d = a_d
+    out.b_u = b_u
+    out.b_v = b_v
+    out.b_d = b_d
+    out.c_u = c_u
+    out.c_v = c_v
+    out.c_d = c_d
+    out.above = above
     return out
 
 
 @wp.func
-def count_hidden(hidden: Floats):
-    """How many lanes are hidden."""
-    out = int(0)
-    for k in range(LANES):
-        out += wp.where(hidden[k] >= 0.0, 1, 0)
+def reach_of_triangles(leaf: LeafView, slopes: wp.vec4, narrow: int):
+    """How far each triangle reaches into the shaft of some slopes (low u, high u, low v, high v); negative: not."""
+    if narrow == 0:  # no slopes hold the light
+        return Eight(1.0e30)
+    low_u, high_u, low_v, high_v = slopes[0], slopes[1], slopes[2], slopes[3]
+    out = Eight()
+    a_u = leaf.a_u
+    a_v = leaf.a_v
+    a_d = leaf.a_d
+    b_u = leaf.b_u
+    b_v = leaf.b_v
+    b_d = leaf.b_d
+    c_u = leaf.c_u
+    c_v = leaf.c_v
+    c_d = leaf.c_d
+    for k in range(8):
+        left = wp.max(wp.max(a_u[k] - low_u * a_d[k], b_u[k] - low_u * b_d[k]), c_u[k] - low_u * c_d[k])
+        right = wp.max(wp.max(high_u * a_d[k] - a_u[k], high_u * b_d[k] - b_u[k]), high_u * c_d[k] - c_u[k])
+        bottom = wp.max(wp.max(a_v[k] - low_v * a_d[k], b_v[k] - low_v * b_d[k]), c_v[k] - low_v * c_d[k])
+        top = wp.max(wp.max(high_v * a_d[k] - a_v[k], high_v * b_d[k] - b_v[k]), high_v * c_d[k] - c_v[k])
+        out[k] = wp.min(wp.min(left, right), wp.min(bottom, top))
     return out
 
 
 @wp.func
-def add_seen(sums: wp.vec2, hidden: Floats, weight: Floats):
-    """(weight of the samples that are seen, of all)."""
-    seen = sums[0]
-    total = sums[1]
-    for k in range(LANES):
-        total += weight[k]
-        seen += wp.where(hidden[k] >= 0.0, 0.0, weight[k])
-    return wp.vec2(seen, total)
-
-
-@wp.func
-def reach_beyond(side: wp.vec3, low_x: Eight, low_y: Eight, low_z: Eight, high_x: Eight, high_y: Eight, high_z: Eight):
-    """How far eight boxes reach to the inner side of a plane through the receiver."""
-    x = wp.max(low_x * side[0], high_x * side[0])
-    y = wp.max(low_y * side[1], high_y * side[1])
-    z = wp.max(low_z * side[2], high_z * side[2])
-    return x + y + z
-
-
-@wp.func
-def along(side: wp.vec3, x: Eight, y: Eight, z: Eight):
-    """Eight products with a direction."""
-    return x * side[0] + y * side[1] + z * side[2]
+def slopes_of_group(low: wp.vec3, high: wp.vec3, from_ws: wp.vec3, frame: ShaftFrame):
+    """Slopes that hold the ways to all samples within a box, no wider than the frame's."""
+    low_u = float(wp.inf)
+    low_v = float(wp.inf)
+    high_u = float(-wp.inf)
+    high_v = float(-wp.inf)
+    for i in range(8):
+        corner = wp.vec3(
+            wp.where((i & 1) != 0, high[0], low[0]),
+            wp.where((i & 2) != 0, high[1], low[1]),
+            wp.where((i & 4) != 0, high[2], low[2]),
+        )
+        way = corner - from_ws
+        depth = wp.dot(way, frame.axis)
+        if depth <= 0.0:  # a loose box around samples beside the receiver
+            return wp.vec4(frame.low_u, frame.high_u, frame.low_v, frame.high_v)
+        low_u = wp.min(low_u, wp.dot(way, frame.u) / depth)
+        high_u = wp.max(high_u, wp.dot(way, frame.u) / depth)
+        low_v = wp.min(low_v, wp.dot(way, frame.v) / depth)
+        high_v = wp.max(high_v, wp.dot(way, frame.v) / depth)
+    return wp.vec4(
+        wp.max(low_u - SHAFT_SLACK, frame.low_u),
+        wp.min(high_u + SHAFT_SLACK, frame.high_u),
+        wp.max(low_v - SHAFT_SLACK, frame.low_v),
+        wp.min(high_v + SHAFT_SLACK, frame.high_v),
+    )
 
 
 @wp.kernel
@@ -151,7 +259,7 @@ def trace_shafts(
     first: int,
     gbuffer: GBuffer,
     tree: CasterTree,
-    samples: SampleRuns,
+    samples: SampleBatches,
     hull: LightHull,
     prove: int,
     visibility_out: wp.array2d(dtype=float),
@@ -165,48 +273,58 @@ def trace_shafts(
         visibility_out[y, column] = 1.0
         proof_out[y, column] = NO_RECEIVER
         return
-    position = gbuffer.position_ws[y, column]
     normal = gbuffer.normal_ws[y, column]
+    n_x, n_y, n_z = normal[0], normal[1], normal[2]
+    position = gbuffer.position_ws[y, column] * hull.is_point
+    p_x, p_y, p_z = position[0], position[1], position[2]
     origin = ray_origin(gbuffer, y, column)
-    casts = flags & CASTS
+    origin_point = origin * hull.is_point
     ahead = bool(True)
     for i in range(hull.corners.shape[0]):
-        ahead = ahead and wp.dot(hull.corners[i] - origin * hull.is_point, normal) > 0.0
-    shaft = shaft_to_light(hull, origin)
+        ahead = ahead and wp.dot(hull.corners[i] - origin_point, normal) > 0.0
     own_side = wp.vec3()
+    least_height = float(-1.0)
     if ahead:
         own_side = normal  # all of the light is in front, and so is all that can hide it
+        least_height = 0.0
+    frame = shaft_frame(hull, origin)
+    shaft = shaft_of(frame)
     limit = wp.where(hull.is_point > 0.0, BEFORE_SAMPLE, hull.reach)
-    slack = ROUNDING * hull.reach
+    steepest = wp.max(wp.max(-frame.low_u, frame.high_u), wp.max(-frame.low_v, frame.high_v))
+    slack = ROUNDING * hull.reach * (1.0 + wp.max(steepest, 0.0))  # sides of slope t are 1 + t long or less
     touched = int(0)
-    sums = wp.vec2(0.0, 0.0)
-    all_hidden = bool(True)
-    runs = samples.x.shape[0]
-    for run in range(0, runs, GROUPS):
-        run_1 = wp.min(run + 1, runs - 1)
-        run_2 = wp.min(run + 2, runs - 1)
-        run_3 = wp.min(run + 3, runs - 1)
-        groups = wp.min(GROUPS, runs - run)
-        x_0 = samples.x[run]
-        y_0 = samples.y[run]
-        z_0 = samples.z[run]
-        x_1 = samples.x[run_1]
-        y_1 = samples.y[run_1]
-        z_1 = samples.z[run_1]
-        x_2 = samples.x[run_2]
-        y_2 = samples.y[run_2]
-        z_2 = samples.z[run_2]
-        x_3 = samples.x[run_3]
-        y_3 = samples.y[run_3]
-        z_3 = samples.z[run_3]
-        from_ws = position * hull.is_point
-        hidden_0 = behind_surface(x_0, y_0, z_0, from_ws, normal, casts)
-        hidden_1 = behind_surface(x_1, y_1, z_1, from_ws, normal, casts)
-        hidden_2 = behind_surface(x_2, y_2, z_2, from_ws, normal, casts)
-        hidden_3 = behind_surface(x_3, y_3, z_3, from_ws, normal, casts)
-        stack = Stack()
+    seen = float(0.0)
+    total = float(0.0)
+    stack = Stack()
+    kept = Masks()
+    slopes = Slopes()
+    hidden = Floats()  # a sample is hidden where this is >= 0
+    for batch in range(samples.x.shape[0]):
+        xs = samples.x[batch]
+        ys = samples.y[batch]
+        zs = samples.z[batch]
+        groups = wp.min(GROUPS, samples.groups - batch * GROUPS)
+        open_groups = int(0)
+        for g in range(groups):
+            base = g * LANES
+            visible_lanes = int(0)
+            if (flags & CASTS) != 0:
+                for k in range(LANES):
+                    facing = n_x * (xs[base + k] - p_x) + n_y * (ys[base + k] - p_y) + n_z * (zs[base + k] - p_z)
+                    hidden[base + k] = wp.where(facing <= 0.0, 1.0, -1.0)
+                    visible_lanes += wp.where(facing <= 0.0, 0, 1)
+            else:
+                for k in range(LANES):
+                    hidden[base + k] = -1.0
+                visible_lanes = LANES
+            if visible_lanes > 0:
+                open_groups = open_groups | (1 << g)
+            at = batch * GROUPS + g
+            own = slopes_of_group(samples.low[at], samples.high[at], origin_point, frame)
+            for i in range(4):
+                slopes[4 * g + i] = own[i]
         top = int(0)
-        if tree.levels > 0:
+        if tree.levels > 0 and open_groups != 0:
             stack[0] = tree.levels - 1
             top = 1
         while top > 0:
@@ -214,85 +332,67 @@ def trace_shafts(
             level = stack[top] & 15
             index = stack[top] >> 4
             if level > 0:
-                at = tree.level_begin[level] + index
-                low_x = tree.low_x[at] - Eight(origin[0])
-                low_y = tree.low_y[at] - Eight(origin[1])
-                low_z = tree.low_z[at] - Eight(origin[2])
-                high_x = tree.high_x[at] - Eight(origin[0])
-                high_y = tree.high_y[at] - Eight(origin[1])
-                high_z = tree.high_z[at] - Eight(origin[2])
-                least = wp.min(
-                    wp.min(
-                        reach_beyond(shaft.left, low_x, low_y, low_z, high_x, high_y, high_z),
-                        reach_beyond(shaft.right, low_x, low_y, low_z, high_x, high_y, high_z),
-                    ),
-                    wp.min(
-                        reach_beyond(shaft.bottom, low_x, low_y, low_z, high_x, high_y, high_z),
-                        reach_beyond(shaft.top, low_x, low_y, low_z, high_x, high_y, high_z),
-                    ),
-                )
-                least = wp.min(least, reach_beyond(own_side, low_x, low_y, low_z, high_x, high_y, high_z))
-                begin = index * 8
-                for k in range(wp.min(8, tree.level_size[level - 1] - begin)):
-                    if least[k] >= -slack:
+                reach = reach_of_children(tree, tree.level_begin[level] + index, origin, shaft, own_side)
+                begin = index * WIDTH
+                for k in range(wp.min(WIDTH, tree.level_size[level - 1] - begin)):
+                    if reach[k] >= -slack:
                         stack[top] = ((begin + k) << 4) | (level - 1)
                         top += 1
-            else:
-                a_x = tree.triangle[index, 0] - Eight(origin[0])
-                a_y = tree.triangle[index, 1] - Eight(origin[1])
-                a_z = tree.triangle[index, 2] - Eight(origin[2])
-                b_x = tree.triangle[index, 3] - Eight(origin[0])
-                b_y = tree.triangle[index, 4] - Eight(origin[1])
-                b_z = tree.triangle[index, 5] - Eight(origin[2])
-                c_x = tree.triangle[index, 6] - Eight(origin[0])
-                c_y = tree.triangle[index, 7] - Eight(origin[1])
-                c_z = tree.triangle[index, 8] - Eight(origin[2])
-                least = Eight(1.0e30)
-                for s in range(4):
-                    side = shaft.left
-                    if s == 1:
-                        side = shaft.right
-                    if s == 2:
-                        side = shaft.bottom
-                    if s == 3:
-                        side = shaft.top
-                    farthest = wp.max(along(side, a_x, a_y, a_z), along(side, b_x, b_y, b_z))
-                    least = wp.min(least, wp.max(farthest, along(side, c_x, c_y, c_z)))
-                above = Eight(1.0)
-                if ahead:
-                    above = wp.max(along(normal, a_x, a_y, a_z), along(normal, b_x, b_y, b_z))
-                    above = wp.max(above, along(normal, c_x, c_y, c_z))
-                tested = int(0)
-                for k in range(8):
-                    if least[k] >= -slack and above[k] > 0.0:
-                        a = wp.vec3(a_x[k], a_y[k], a_z[k])
-                        b = wp.vec3(b_x[k], b_y[k], b_z[k])
-                        c = wp.vec3(c_x[k], c_y[k], c_z[k])
-                        planes = edge_planes(a, b, c, origin, hull.is_point)
-                        if planes.height > 0.0:  # seen edge on it hides nothing
-                            tested += 1
-                            hidden_0 = hide(hidden_0, x_0, y_0, z_0, planes, limit)
-                            if groups > 1:
-                                hidden_1 = hide(hidden_1, x_1, y_1, z_1, planes, limit)
-                            if groups > 2:
-                                hidden_2 = hide(hidden_2, x_2, y_2, z_2, planes, limit)
-                            if groups > 3:
-                                hidden_3 = hide(hidden_3, x_3, y_3, z_3, planes, limit)
-                touched += tested
-                if tested > 0 and prove != 0:
-                    # shorter lists are repeated in the last groups, so that all four can be asked
-                    if count_hidden(hidden_0) == LANES:
-                        rest = count_hidden(hidden_1) + count_hidden(hidden_2) + count_hidden(hidden_3)
-                        if rest == 3 * LANES or groups == 1:
-                            top = 0
-        sums = add_seen(sums, hidden_0, samples.weight[run])
-        if groups > 1:
-            sums = add_seen(sums, hidden_1, samples.weight[run_1])
-        if groups > 2:
-            sums = add_seen(sums, hidden_2, samples.weight[run_2])
-        if groups > 3:
-            sums = add_seen(sums, hidden_3, samples.weight[run_3])
-    visible = sums[0] / wp.max(sums[1], 1.0e-30)
+                continue
+            leaf = view_leaf(tree, index, origin, frame, own_side)
+            above = leaf.above
+            touches = Masks()
+            for g in range(groups):
+                if (open_groups & (1 << g)) == 0:
+                    continue
+                own = wp.vec4(slopes[4 * g], slopes[4 * g + 1], slopes[4 * g + 2], slopes[4 * g + 3])
+                reach = reach_of_triangles(leaf, own, frame.narrow)
+                for k in range(WIDTH):
+                    touches[k] = touches[k] | wp.where(reach[k] >= -slack, 1 << g, 0)
+            count = int(0)
+            for k in range(WIDTH):
+                kept[count] = k
+                count += wp.where(touches[k] != 0, wp.where(above[k] > least_height, 1, 0), 0)
+            for i in range(count):
+                k = kept[i]
+                planes = edge_planes(tree, index, k, origin, hull.is_point)
+                if planes.height == 0.0:  # seen edge on, it hides nothing
+                    continue
+                touched += 1
+                a_x, a_y, a_z = planes.a[0], planes.a[1], planes.a[2]
+                b_x, b_y, b_z = planes.b[0], planes.b[1], planes.b[2]
+                c_x, c_y, c_z = planes.c[0], planes.c[1], planes.c[2]
+                a_0, b_0, c_0 = planes.offset[0], planes.offset[1], planes.offset[2]
+                height = planes.height
+                for g in range(groups):
+                    if (touches[k] & (1 << g)) == 0:
+                        continue
+                    base = g * LANES
+                    for lane in range(LANES):
+                        x = xs[base + lane]
+                        y_s = ys[base + lane]
+                        z = zs[base + lane]
+                        e_a = x * a_x + y_s * a_y + z * a_z - a_0
+                        e_b = x * b_x + y_s * b_y + z * b_z - b_0
+                        e_c = x * c_x + y_s * c_y + z * c_z - c_0
+                        before = (e_a + e_b + e_c) * limit - height
+                        inside = wp.min(wp.min(e_a, e_b), wp.min(e_c, before))
+                        hidden[base + lane] = wp.max(hidden[base + lane], inside)
+            if count > 0 and prove != 0:
+                for g in range(groups):
+                    base = g * LANES
+                    open_lanes = int(0)
+                    for k in range(LANES):
+                        open_lanes += wp.where(hidden[base + k] >= 0.0, 0, 1)
+                    if open_lanes == 0:
+                        open_groups = open_groups & ~(1 << g)
+                if open_groups == 0:
+                    top = 0
+        weights = samples.weight[batch]
+        for k in range(groups * LANES):
+            total += weights[k]
+            seen += wp.where(hidden[k] >= 0.0, 0.0, weights[k])
+    visible = seen / wp.max(total, 1.0e-30)
     proof = TRACED
     if prove != 0:
         if touched == 0 and ahead:
@@ -301,3 +401,39 @@ def trace_shafts(
             proof = PROVEN_DARK
     visibility_out[y, column] = visible
     proof_out[y, column] = proof
+
+
+def sample_batches(samples: np.ndarray, weights: np.ndarray, device: str = "cpu") -> SampleBatches:
+    """Light samples for ``trace_shafts``, neighbours on the light in the same group.
+
+    Args:
+        samples: (n, 4), homogeneous, rebased world; all points or all directions; n >= 1.
+        weights: (n,).
+        device: Warp device.
+    """
+    points = np.asarray(samples, dtype=np.float32)[:, :3]
+    order = np.concatenate(_compact_groups(points, np.arange(len(points))))
+    padded = np.concatenate([order, np.repeat(order[-1:], -len(order) % BATCH)])
+    by_batch = points[padded].reshape(-1, BATCH, 3)
+    held = np.concatenate([np.asarray(weights, np.float32)[order], np.zeros(len(padded) - len(order), np.float32)])
+    out = SampleBatches()
+    out.x, out.y, out.z = (
+        wp.array(np.ascontiguousarray(by_batch[:, :, axis]), dtype=Floats, device=device) for axis in range(3)
+    )
+    out.weight = wp.array(held.reshape(-1, BATCH), dtype=Floats, device=device)
+    by_group = points[padded].reshape(-1, int(LANES), 3)
+    out.low = wp.array(by_group.min(axis=1), dtype=wp.vec3, device=device)
+    out.high = wp.array(by_group.max(axis=1), dtype=wp.vec3, device=device)
+    out.groups = -(-len(order) // int(LANES))
+    return out
+
+
+def _compact_groups(points: np.ndarray, which: np.ndarray) -> list[np.ndarray]:
+    """Splits samples in half along their longest extent, in whole groups, until a group is left."""
+    lanes = int(LANES)
+    if len(which) <= lanes:
+        return [which]
+    axis = int(np.argmax(np.ptp(points[which], axis=0)))
+    ordered = which[np.argsort(points[which, axis], kind="stable")]
+    half = -(-len(which) // lanes) // 2 * lanes
+    return [*_compact_groups(points, ordered[:half]), *_compact_groups(points, ordered[half:])]
