@@ -33,6 +33,8 @@ MAX_SAMPLES = 1_000_000
 AREA_TECHNIQUE, POINT_TECHNIQUE = "reference_multisample", "ray_cast_point_shadow"
 TRACING_MODULES = (
     "rays",
+    "shaft_rays",
+    "caster_tree",
     "light_proofs",
     "raster",
     "gbuffer",

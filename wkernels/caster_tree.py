@@ -1,11 +1,13 @@
 """The casters' triangles as a tree of boxes, eight children a node, laid out so that one step tests all eight at once.
 
-Triangles are sorted along a space-filling curve, once; eight neighbours are a leaf, eight leaves a node, and so on to a
-single root. When vertices move only the boxes change. Warp's own meshes answer one ray at a time; a pyramid of rays
-from a receiver to a light (``shaft_rays``) needs the boxes themselves.
+Triangles are ordered in space, once; eight neighbours are a leaf, eight leaves a node, and so on to a single root. When
+vertices move only the boxes change. Warp's own meshes answer one ray at a time; a pyramid of rays from a receiver to a
+light (``shaft_rays``) needs the boxes themselves.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -16,12 +18,11 @@ WIDTH = wp.constant(8)
 Eight = wp.types.vector(length=WIDTH, dtype=wp.float32)
 MAX_LEVELS = 10  # 8^10 triangles
 HUGE_COORDINATE = wp.constant(3.0e38)
-_CURVE_BITS = 16
 
 
 @wp.struct
 class CasterTree:
-    """Boxes and triangles, in the order of the curve.
+    """Boxes and triangles, in spatial order.
 
     Node i of level l > 0 stands at ``level_begin[l] + i`` and holds the boxes of its children, nodes 8 i to 8 i + 7 of
     level l - 1; node i of level 0 is a leaf and holds eight triangles at i.
@@ -59,8 +60,7 @@ def gather_leaves(
             a = points_ws[indices[t]]
             b = points_ws[indices[t + 1]]
             c = points_ws[indices[t + 2]]
-            largest = wp.max(wp.max(wp.length(a), wp.length(b)), wp.length(c))
-            if not (largest < HUGE_COORDINATE):
+            if not (wp.length(a) + wp.length(b) + wp.length(c) < HUGE_COORDINATE):  # nor is a sum with a NaN
                 a = wp.vec3()
                 b = a
                 c = a
@@ -129,8 +129,8 @@ def bound_children(
         high_z[begin + node][k] = high[2]
 
 
-def curve_order(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Triangles along a Morton curve through their middles, ties by number.
+def spatial_order(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Triangles such that any aligned run of 8^k of them is compact: halved along the longest extent of their middles.
 
     Args:
         points: (V, 3); what is not finite counts as 0.
@@ -140,21 +140,24 @@ def curve_order(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
         int32 (T,).
     """
     middle = np.nan_to_num(points[faces].mean(axis=1, dtype=np.float64), nan=0.0, posinf=0.0, neginf=0.0)
-    low = middle.min(axis=0, initial=np.inf)
-    side = float((middle.max(axis=0, initial=-np.inf) - low).max(initial=0.0)) if len(faces) else 0.0
-    cells = np.clip((middle - low) / max(side, 1e-30) * (2**_CURVE_BITS - 1), 0, 2**_CURVE_BITS - 1).astype(np.uint64)
-    code = np.zeros(len(faces), dtype=np.uint64)
-    for axis in range(3):
-        code |= _spread(cells[:, axis]) << np.uint64(axis)
-    return np.argsort(code, kind="stable").astype(np.int32)
-
-
-def _spread(value: np.ndarray) -> np.ndarray:
-    """The bits of 16-bit numbers, two zeros between each."""
-    value = value.astype(np.uint64)
-    for shift, mask in ((16, 0x0000FF0000FF), (8, 0x00F00F00F00F), (4, 0x0C30C30C30C3), (2, 0x249249249249)):
-        value = (value | (value << np.uint64(shift))) & np.uint64(mask)
-    return value
+    order = np.arange(len(faces))
+    capacity = 8
+    while capacity < len(faces):
+        capacity *= 8
+    waiting = [(0, len(faces), capacity)]
+    while waiting:
+        begin, end, capacity = waiting.pop()
+        if end - begin <= 8:
+            continue
+        half = capacity // 2
+        part = order[begin:end]
+        if end - begin > half:
+            own = middle[part]
+            axis = int(np.argmax(np.ptp(own, axis=0)))
+            order[begin:end] = part[np.argpartition(own[:, axis], half, kind="introselect")]
+            waiting.append((begin + half, end, half))
+        waiting.append((begin, min(begin + half, end), half))
+    return order.astype(np.int32)
 
 
 class CasterTreeBuilder:
@@ -162,15 +165,23 @@ class CasterTreeBuilder:
 
     Args:
         points_ws: vec3 (V,), which may move.
-        indices: int32 (3 T,), which stay.
+        indices: int32, which stay.
+        triangles: How many of their triangles count, from the first on.
         device: Warp device.
         threads: CPU threads; None for all. The tree does not depend on it.
     """
 
-    def __init__(self, points_ws: wp.array, indices: wp.array, device: str = "cpu", threads: int | None = None) -> None:
+    def __init__(
+        self,
+        points_ws: wp.array,
+        indices: wp.array,
+        triangles: int,
+        device: str = "cpu",
+        threads: int | None = None,
+    ) -> None:
         self._points, self._indices, self._device, self._threads = points_ws, indices, device, threads
-        self._triangles = len(indices) // 3
-        order = curve_order(points_ws.numpy(), indices.numpy().reshape(-1, 3)[: self._triangles])
+        self._triangles = triangles
+        order = spatial_order(points_ws.numpy(), indices.numpy()[: 3 * triangles].reshape(-1, 3))
         self._order = wp.array(order, dtype=int, device=device)
         sizes = [-(-self._triangles // 8)] if self._triangles else []
         while sizes and (len(sizes) == 1 or sizes[-1] > 1):
@@ -191,11 +202,14 @@ class CasterTreeBuilder:
         """Moves leaves and boxes to where the vertices are now."""
         if not self._triangles:
             return
-        tree, options = self.tree, {"device": self._device, "threads": self._threads}
-        inputs = [self._points, self._indices, self._order]
-        launch(gather_leaves, self._sizes[0], inputs, [tree.triangle], **options)
+        tree = self.tree
+        inputs: list[Any] = [self._points, self._indices, self._order]
+        self._launch(gather_leaves, self._sizes[0], inputs, [tree.triangle])
         boxes = [tree.low_x, tree.low_y, tree.low_z, tree.high_x, tree.high_y, tree.high_z]
         for level in range(1, len(self._sizes)):
             child_begin = -1 if level == 1 else int(self._begins[level - 1])
             inputs = [tree.triangle, self._triangles, int(self._begins[level]), child_begin, self._sizes[level - 1]]
-            launch(bound_children, self._sizes[level], inputs, boxes, **options)
+            self._launch(bound_children, self._sizes[level], inputs, boxes)
+
+    def _launch(self, kernel: wp.Kernel, cells: int, inputs: list, outputs: list) -> None:
+        launch(kernel, cells, inputs, outputs, device=self._device, threads=self._threads)

@@ -16,6 +16,7 @@ import numpy as np
 import warp as wp
 
 from wkernels import gbuffer as gb
+from wkernels.caster_tree import CasterTree, CasterTreeBuilder
 from wkernels.frame_result import G_BUFFER, SHADING, FrameResult, read_back
 from wkernels.geometry import Bounds, Geometry
 from wkernels.launch import launch, wake_workers
@@ -27,6 +28,7 @@ from wkernels.raster import CULL_NONE, Rasteriser
 from wkernels.rays import LightHull
 from wkernels.sampling import light_set
 from wkernels.shading import shade
+from wkernels.shaft_rays import SampleBatches, sample_batches
 from wkernels.timing import PassTimer
 from wkernels.views import HostView, View, eye_view
 
@@ -52,12 +54,14 @@ class LightSamples:
         points_ws: vec4 (n,), the same.
         weights: float (n,), relative radiance, mean about 1.
         weights_host: float64 (n,), the same.
+        batches: The same for ``shaft_rays``, on the CPU; elsewhere without content.
     """
 
     host: np.ndarray
     points_ws: wp.array
     weights: wp.array
     weights_host: np.ndarray
+    batches: SampleBatches
 
 
 @dataclass
@@ -275,6 +279,7 @@ class Session:
                 wp.array(host.astype(np.float32), dtype=wp.vec4, device=self.device),
                 wp.array(weights.astype(np.float32), dtype=float, device=self.device),
                 weights,
+                sample_batches(host, weights) if wp.get_device(self.device).is_cpu else SampleBatches(),
             )
 
         # the set of a temporal method moves on every frame: one slot per size, so that nothing piles up
@@ -294,6 +299,21 @@ class Session:
 
         mesh: wp.Mesh = self.product("caster ray structure", "casters", self.geometry.version, build)
         return mesh.id
+
+    def caster_tree(self) -> CasterTree:
+        """The casters' triangles as a tree of boxes, for all rays of a receiver at once."""
+
+        def build(old: CasterTreeBuilder | None) -> CasterTreeBuilder:
+            if old is None:
+                geometry = self.geometry
+                return CasterTreeBuilder(
+                    geometry.points_ws, geometry.caster_indices, geometry.caster_triangles, self.device, self.threads
+                )
+            old.refit()
+            return old
+
+        builder: CasterTreeBuilder = self.product("caster tree", "caster tree", self.geometry.version, build)
+        return builder.tree
 
     def light_hull(self) -> LightHull:
         """The light's hull for proofs, and how far a ray must reach to leave the scene."""

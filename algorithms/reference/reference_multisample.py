@@ -6,6 +6,9 @@ triangles themselves: no map, no bias. The reported standard error sqrt(psi (1 -
 equation 3) is that of independent samples; with a low-discrepancy set the true error is 2 to 5 times smaller at smooth
 edges.
 
+On the CPU all rays of a receiver are cast at once, against the triangles that touch the pyramid from it to the light
+(``wkernels/shaft_rays.py``); on CUDA one after the other.
+
 Deviation: pixels that can be *proven* wholly lit (no caster touches the shaft to the light) or wholly dark (one
 triangle hides the light's convex hull, or the light is behind the surface) cast no further rays; the result is the same
 with the proofs off.
@@ -20,6 +23,8 @@ from algorithms.technique import Limit, Technique, setting
 from algorithms.technique import Params as BaseParams
 from wkernels.frame import Session as Frame
 from wkernels.rays import binomial_standard_error, trace_light
+from wkernels.receiver_lanes import uses_lanes
+from wkernels.shaft_rays import trace_shafts
 
 
 class ReferenceMultisample(Technique):
@@ -43,12 +48,15 @@ class ReferenceMultisample(Technique):
         gbuffer = frame.gbuffer()
         visibility = frame.visibility_buffer(gbuffer)
         samples = frame.light_samples(self.params.samples, self.params.sample_set)
-        casters = frame.casters()
         proof = frame.buffer("proof", visibility.shape, wp.int32)
         error = frame.standard_error = frame.buffer("standard error", visibility.shape, wp.float32)
         prove = int(frame.leave_out("rays to the light", "a proof settles the pixel", 0))
+        hull = frame.light_hull()
+        if uses_lanes(frame.device):
+            kernel, inputs = trace_shafts, [gbuffer, frame.caster_tree(), samples.batches, hull, prove]
+        else:
+            kernel, inputs = trace_light, [gbuffer, frame.casters(), samples.points_ws, samples.weights, hull, prove]
         with frame.timed("shadow rays"):
-            inputs = [gbuffer, casters, samples.points_ws, samples.weights, frame.light_hull(), prove]
-            frame.launch(trace_light, visibility.shape, inputs, [visibility, proof])
+            frame.launch(kernel, visibility.shape, inputs, [visibility, proof])
             frame.launch(binomial_standard_error, visibility.shape, [visibility, float(self.params.samples)], [error])
         return visibility
