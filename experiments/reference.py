@@ -34,6 +34,7 @@ AREA_TECHNIQUE, POINT_TECHNIQUE = "reference_multisample", "ray_cast_point_shado
 TRACING_MODULES = (
     "rays",
     "shaft_rays",
+    "shaft_culling",
     "caster_tree",
     "light_proofs",
     "raster",
