@@ -2,17 +2,21 @@
 
 A reference depends on the triangles at its frame, the camera, the light, the sample set and the code that traces it.
 All of these are hashed into the name of its cache file, so that nothing has to be invalidated. A file that is damaged,
-or is not what its name promises, counts as absent and is written anew.
+or is not what its name promises, counts as absent and is written anew. The sets of samples are sequences, so that a
+reference of more samples goes on where a cached one of fewer ends, to the same bits.
 """
 
 from __future__ import annotations
 
 import functools
 import hashlib
+import math
 import os
 import tempfile
+import time
 import zipfile
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -27,6 +31,8 @@ from algorithms.technique import Technique
 from wkernels.errors import InputError
 from wkernels.frame import Session
 from wkernels.geometry import Geometry
+from wkernels.launch import launch
+from wkernels.rays import binomial_standard_error
 
 CACHE_VARIABLE = "WKERNELS_CACHE"
 MAX_SAMPLES = 1_000_000
@@ -112,12 +118,69 @@ class ReferenceRenderer:
         held = _read(file, self._size) if file else None
         if held is not None:
             return held
-        made = self._trace(frame)
+        begun = self._largest_part(frame) if self.cache else None
+        made = self._trace(frame, self._samples) if begun is None else self._go_on(frame, *begun)
         if file:
             _write(file, made)
         return made
 
-    def _trace(self, frame: int) -> Reference:
+    def progressive(
+        self, frame: int, batch: int = 64, *, standard_error: float = 0.0, budget_s: float = math.inf
+    ) -> Iterator[tuple[int, Reference]]:
+        """The reference of a frame as it grows: (samples so far, reference) after each batch; the cache is not used.
+
+        Args:
+            frame: Frame of the scene's path.
+            batch: Samples traced at a time, at least 1.
+            standard_error: Ends when the root mean square of the standard error over the receivers is no larger.
+            budget_s: Ends after the batch that exceeds this many seconds.
+        """
+        self.geometry.set_frame(frame)
+        begin, done = time.perf_counter(), 0
+        made: Reference | None = None
+        while done < self._samples:
+            count = min(batch, self._samples - done)
+            part = self._trace(frame, count, done)
+            made = part if made is None else self._merge(made, done, part, count)
+            done += count
+            yield done, made
+            error = made.standard_error[np.isfinite(made.standard_error)].astype(np.float64)
+            if error.size == 0 or np.sqrt(np.mean(error**2)) <= standard_error or _since(begin) > budget_s:
+                return
+
+    def _largest_part(self, frame: int) -> tuple[int, Reference] | None:
+        """The cached reference of the most samples, but fewer than wanted, that can be gone on with."""
+        if not self._has_area or not self._even:
+            return None
+        stem = self._key(frame, samples=0)
+        counts = (path.stem.removeprefix(f"{stem}-") for path in cache_folder().glob(f"{stem}-*.npz"))
+        for samples in sorted((int(c) for c in counts if c.isdigit() and int(c) < self._samples), reverse=True):
+            held = _read(cache_folder() / f"{stem}-{samples}.npz", self._size)
+            if held is not None:
+                return samples, held
+        return None
+
+    def _go_on(self, frame: int, samples: int, begun: Reference) -> Reference:
+        more = self._samples - samples
+        return self._merge(begun, samples, self._trace(frame, more, samples), more)
+
+    def _merge(self, first: Reference, samples: int, second: Reference, more: int) -> Reference:
+        """The mean of two parts of one set. Of equal weights both are counts, so that nothing is rounded twice."""
+        total, parts = samples + more, (first.visibility * np.float32(samples), second.visibility * np.float32(more))
+        seen = parts[0] + parts[1]
+        visibility = ((np.rint(seen) if self._even else seen) / np.float32(total)).astype(np.float32)
+        on_device = wp.array(visibility, dtype=float, device=self._device)
+        error = wp.empty_like(on_device)
+        inputs = [on_device, float(total)]
+        launch(binomial_standard_error, error.shape, inputs, [error], device=self._device, threads=self._threads)
+        return Reference(visibility, np.where(np.isnan(visibility), np.float32(np.nan), error.numpy()), False)
+
+    @property
+    def _even(self) -> bool:
+        """Whether all samples weigh the same."""
+        return getattr(self.geometry.scene.lights[self._light_index], "texture", None) is None
+
+    def _trace(self, frame: int, samples: int, start: int = 0) -> Reference:
         if self._session is None:
             width, height = self._size
             self._session = Session(
@@ -130,27 +193,31 @@ class ReferenceRenderer:
                 seed=self._seed,
             )
         self._session.begin(frame)
-        result = self._session.render(self._technique)
+        result = self._session.render(_technique(self._has_area, samples, start))
         self._session.advance()
         error = result.standard_error
         if error is None or not self._has_area:
             error = np.where(np.isnan(result.visibility), np.float32(np.nan), np.float32(0.0))
         return Reference(result.visibility, error, False)
 
-    def _key(self, frame: int) -> str:
-        """Hex digest of everything that the reference of a frame depends on."""
+    def _key(self, frame: int, samples: int | None = None) -> str:
+        """Hex digest of everything but the number of samples that the reference of a frame depends on, and that number.
+
+        With ``samples`` 0 the digest alone.
+        """
         geometry, digest = self.geometry, hashlib.sha256()
         scene = geometry.scene
         light, camera = scene.lights[self._light_index], scene.camera(frame)
         _add(digest, _code_version(self._technique), type(light).__name__, wp.get_device(self._device).is_cpu)
-        _add(digest, self._samples, *self._size, self._seed)
+        _add(digest, *self._size, self._seed)
         for part in (geometry.points_ws, geometry.indices, geometry.triangle_mesh, geometry.mesh_flags):
             _add(digest, part.numpy())
         _add(digest, geometry.caster_triangles, geometry.origin_ws)
         for item in (light, camera):
             for attribute in fields(item):
                 _add(digest, attribute.name, getattr(item, attribute.name))
-        return digest.hexdigest()
+        stem = digest.hexdigest()
+        return stem if samples == 0 else f"{stem}-{self._samples}"
 
 
 def reference_for(
@@ -192,11 +259,15 @@ def cache_folder() -> Path:
     return root / "reference"
 
 
-def _technique(has_area: bool, samples: int) -> Technique:
+def _since(begin: float) -> float:
+    return time.perf_counter() - begin
+
+
+def _technique(has_area: bool, samples: int, start: int = 0) -> Technique:
     if not has_area:
         return find(POINT_TECHNIQUE)()
     chosen = find(AREA_TECHNIQUE)
-    return chosen(chosen.Params.model_validate({"samples": samples}))
+    return chosen(chosen.Params.model_validate({"samples": samples, "start": start}))
 
 
 @functools.cache

@@ -42,12 +42,15 @@ class ReferenceMultisample(Technique):
         samples: int = setting(
             256, "points on the light", unit="rays per pixel", source="Scherzer 2009, sec. 1", ge=1, le=10**6
         )
+        start: int = setting(
+            0, "first point of the set: later parts of it refine an image of the earlier ones", unit="points", ge=0
+        )
         sample_set: str = setting("halton", "point set: halton, r2, poisson_disc or random", unit="name")
 
     def render(self, frame: Frame) -> wp.array:
         gbuffer = frame.gbuffer()
         visibility = frame.visibility_buffer(gbuffer)
-        samples = frame.light_samples(self.params.samples, self.params.sample_set)
+        samples = frame.light_samples(self.params.samples, self.params.sample_set, self.params.start)
         proof = frame.buffer("proof", visibility.shape, wp.int32)
         error = frame.standard_error = frame.buffer("standard error", visibility.shape, wp.float32)
         prove = int(frame.leave_out("rays to the light", "a proof settles the pixel", 0))
