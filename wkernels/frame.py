@@ -54,14 +54,20 @@ class LightSamples:
         points_ws: vec4 (n,), the same.
         weights: float (n,), relative radiance, mean about 1.
         weights_host: float64 (n,), the same.
-        batches: The same for ``shaft_rays``, on the CPU; elsewhere without content.
     """
 
     host: np.ndarray
     points_ws: wp.array
     weights: wp.array
     weights_host: np.ndarray
-    batches: SampleBatches
+    _batches: SampleBatches | None = None
+
+    @property
+    def batches(self) -> SampleBatches:
+        """The same for ``shaft_rays``."""
+        if self._batches is None:
+            self._batches = sample_batches(self.host, self.weights_host, str(self.points_ws.device))
+        return self._batches
 
 
 @dataclass
@@ -279,7 +285,6 @@ class Session:
                 wp.array(host.astype(np.float32), dtype=wp.vec4, device=self.device),
                 wp.array(weights.astype(np.float32), dtype=float, device=self.device),
                 weights,
-                sample_batches(host, weights) if wp.get_device(self.device).is_cpu else SampleBatches(),
             )
 
         # the set of a temporal method moves on every frame: one slot per size, so that nothing piles up

@@ -9,6 +9,9 @@ from wkernels.launch import launch
 from wkernels.raster import Rasteriser
 from wkernels.views import HostView, View, pixel_along_ws, pixel_base_ws
 
+RUN = 64  # pixels of a row that one CPU cell resolves
+PADDING = 64  # pixels of memory behind the last one, so that a run of lanes may begin at any pixel
+
 
 @wp.struct
 class GBuffer:
@@ -26,6 +29,7 @@ class GBuffer:
 @wp.kernel
 def resolve_surface(
     first: int,
+    run: int,
     view: View,
     points_ws: wp.array(dtype=wp.vec3),
     indices: wp.array(dtype=int),
@@ -34,50 +38,63 @@ def resolve_surface(
     mesh_flags: wp.array(dtype=int),
     gbuffer: GBuffer,
 ):
-    """Turns the rasterised triangle of a pixel into exact surface data.
+    """Turns the rasterised triangles of ``run`` neighbouring pixels into exact surface data.
 
     The position is where the ray of the pixel centre meets the triangle's plane, not the interpolated depth: it carries
-    no snapping and no accumulated rounding, so that a ray cast from it starts on its own triangle.
+    no snapping and no accumulated rounding, so that a ray cast from it starts on its own triangle. Neighbours mostly
+    see the same triangle, which is fetched when another one comes.
     """
-    row, x = wp.tid()
+    row, column = wp.tid()
     y = first + row
-    t = gbuffer.triangle[y, x]
-    if t < 0:
-        gbuffer.mesh[y, x] = -1
-        gbuffer.flags[y, x] = 0
-        gbuffer.position_ws[y, x] = wp.vec3()
-        gbuffer.normal_ws[y, x] = wp.vec3()
-        return
-    base = pixel_base_ws(view, float(x) + 0.5, float(y) + 0.5)
-    along = pixel_along_ws(view, float(x) + 0.5, float(y) + 0.5)
-    normal = triangle_normal_ws[t]
-    depth = gbuffer.depth[y, x]
-    slope = wp.dot(normal, along)
-    if wp.abs(slope) > 1.0e-6 * wp.length(along):
-        exact = wp.dot(normal, points_ws[indices[3 * t]] - base) / slope
-        # seen edge-on the plane says little; the rasterised depth is right to the size of a pixel
-        if wp.abs(exact - depth) < 0.1 * depth and exact > 0.0:
-            depth = exact
-    if slope > 0.0:
-        normal = -normal
-    mesh = triangle_mesh[t]
-    gbuffer.depth[y, x] = depth
-    gbuffer.position_ws[y, x] = base + depth * along
-    gbuffer.normal_ws[y, x] = normal
-    gbuffer.mesh[y, x] = mesh
-    gbuffer.flags[y, x] = mesh_flags[mesh]
+    held = int(-1)
+    corner = wp.vec3()
+    plane = wp.vec3()
+    mesh = int(-1)
+    flags = int(0)
+    for x in range(column * run, wp.min((column + 1) * run, view.width)):
+        t = gbuffer.triangle[y, x]
+        if t < 0:
+            gbuffer.mesh[y, x] = -1
+            gbuffer.flags[y, x] = 0
+            gbuffer.position_ws[y, x] = wp.vec3()
+            gbuffer.normal_ws[y, x] = wp.vec3()
+            continue
+        if t != held:
+            held = t
+            corner = points_ws[indices[3 * t]]
+            plane = triangle_normal_ws[t]
+            mesh = triangle_mesh[t]
+            flags = mesh_flags[mesh]
+        base = pixel_base_ws(view, float(x) + 0.5, float(y) + 0.5)
+        along = pixel_along_ws(view, float(x) + 0.5, float(y) + 0.5)
+        depth = gbuffer.depth[y, x]
+        slope = wp.dot(plane, along)
+        if slope * slope > 1.0e-12 * wp.dot(along, along):
+            exact = wp.dot(plane, corner - base) / slope
+            # seen edge-on the plane says little; the rasterised depth is right to the size of a pixel
+            if wp.abs(exact - depth) < 0.1 * depth and exact > 0.0:
+                depth = exact
+        normal = plane
+        if slope > 0.0:
+            normal = -plane
+        gbuffer.depth[y, x] = depth
+        gbuffer.position_ws[y, x] = base + depth * along
+        gbuffer.normal_ws[y, x] = normal
+        gbuffer.mesh[y, x] = mesh
+        gbuffer.flags[y, x] = flags
 
 
 def allocate_gbuffer(width: int, height: int, device: str) -> GBuffer:
     """An unfilled G-buffer of ``height`` x ``width`` pixels."""
-    shape = (height, width)
+
+    def image(dtype: type) -> wp.array:
+        memory = wp.zeros(width * height + PADDING, dtype=dtype, device=device)
+        return memory[: width * height].reshape((height, width))
+
     out = GBuffer()
-    out.depth = wp.empty(shape, dtype=float, device=device)
-    out.position_ws = wp.empty(shape, dtype=wp.vec3, device=device)
-    out.normal_ws = wp.empty(shape, dtype=wp.vec3, device=device)
-    out.mesh = wp.empty(shape, dtype=int, device=device)
-    out.triangle = wp.empty(shape, dtype=int, device=device)
-    out.flags = wp.empty(shape, dtype=int, device=device)
+    out.depth = image(float)
+    out.position_ws, out.normal_ws = image(wp.vec3), image(wp.vec3)
+    out.mesh, out.triangle, out.flags = image(int), image(int), image(int)
     return out
 
 
@@ -85,10 +102,12 @@ def fill_gbuffer(gbuffer: GBuffer, geometry: Geometry, view: HostView, rasterise
     """Renders ``geometry`` from ``view`` into ``gbuffer`` (same size)."""
     gbuffer.view = view.to_device()
     rasteriser.draw(geometry.points_ws, geometry.indices, gbuffer.view, gbuffer.depth, gbuffer.triangle)
+    run = RUN if wp.get_device(rasteriser.device).is_cpu else 1
     launch(
         resolve_surface,
-        (view.height, view.width),
+        (view.height, -(-view.width // run)),
         [
+            run,
             gbuffer.view,
             geometry.points_ws,
             geometry.indices,

@@ -13,6 +13,7 @@ from wkernels.errors import InputError
 from wkernels.frame import Session
 from wkernels.gbuffer import GBuffer
 from wkernels.geometry import RECEIVES
+from wkernels.receiver_lanes import LANES, Floats
 from wkernels.views import View
 
 
@@ -94,3 +95,54 @@ def filter_neighbourhood(
                         count += 1.0
         total = total / count
     visibility_out[y, x] = 1.0 - total
+
+
+@wp.kernel
+def filter_neighbourhood_lanes(
+    first: int,
+    flags: wp.array(dtype=int),
+    depth: wp.array(dtype=float),
+    psi: wp.array(dtype=float),
+    half_width_px: wp.array(dtype=float),
+    taps: wp.array(dtype=wp.vec2),
+    depth_range: float,
+    visibility_out: wp.array2d(dtype=float),
+):
+    """``filter_neighbourhood`` of a run of pixels; the images flat (H W,)."""
+    row, run = wp.tid()
+    y = first + row
+    x0 = run * LANES
+    width = visibility_out.shape[1]
+    height = visibility_out.shape[0]
+    begin = y * width
+    total = Floats(0.0)
+    half = Floats(0.0)
+    own = Floats(0.0)
+    wide = int(0)
+    for k in range(LANES):
+        at = begin + wp.min(x0 + k, width - 1)
+        total[k] = psi[at]
+        half[k] = half_width_px[at]
+        own[k] = depth[at]
+        wide += wp.where(half[k] >= 0.5, 1, 0)
+    if wide > 0:
+        count = Floats(1.0)
+        for i in range(taps.shape[0]):
+            tap_x = taps[i][0]
+            tap_y = taps[i][1]
+            for k in range(LANES):
+                reach = wp.where(half[k] >= 0.5, half[k], 0.0)
+                column = int(wp.round(float(x0 + k) + reach * tap_x))
+                line = int(wp.round(float(y) + reach * tap_y))
+                in_row = wp.where(column >= 0, wp.where(column < width, 1, 0), 0)
+                inside = wp.where(line >= 0, wp.where(line < height, in_row, 0), 0)
+                at = wp.where(inside != 0, line * width + column, begin)
+                receives = wp.where((flags[at] & RECEIVES) != 0, inside, 0)
+                close = wp.where(wp.abs(depth[at] - own[k]) < depth_range * own[k], receives, 0)
+                share = wp.where(half[k] >= 0.5, float(close), 0.0)
+                total[k] = total[k] + share * psi[at]
+                count[k] = count[k] + share
+        for k in range(LANES):
+            total[k] = total[k] / count[k]
+    for k in range(wp.min(LANES, width - x0)):
+        visibility_out[y, x0 + k] = 1.0 - total[k]

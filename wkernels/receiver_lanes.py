@@ -82,6 +82,11 @@ def uses_lanes(device: str) -> bool:
     return bool(wp.get_device(device).is_cpu)
 
 
+def flat_floats(values: wp.array) -> wp.array:
+    """The components of an array of float32, or of vectors of them, as one row; a view, which must not outlive it."""
+    return wp.array(ptr=values.ptr, dtype=float, shape=values.capacity // 4, device="cpu")
+
+
 def lane_views(gbuffer: GBuffer, light_map: LightMap) -> LaneViews:
     """Flat views of what lane kernels read, on the CPU."""
     out = LaneViews()

@@ -37,185 +37,20 @@ frame, as points are followed by the camera's motion alone.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import warp as wp
 from pydantic import field_validator
 
 from algorithms.technique import Limit, MapParams, Needs, Technique, setting
-from wkernels.estimators import add_test, hidden_share, standard_error
-from wkernels.filtering import (
-    LightFootprint,
-    check_tap_count,
-    pcss_visibility,
-    penumbra_ratio,
-    penumbra_spread,
-    pull_footprint,
-    pull_taps,
-    texels_per_ratio,
-)
+from wkernels.filtering import check_tap_count, pull_footprint, pull_taps
 from wkernels.frame import Session as Frame
-from wkernels.gbuffer import GBuffer
-from wkernels.geometry import RECEIVES
-from wkernels.light_map import Bias, LightMap, Receiver, locate, receiver_depth_at, stored_depth
-from wkernels.neighbourhood_filter import filter_neighbourhood, pixels_per_length, pull_opposite_taps
-from wkernels.shadow_buffer import (
-    BILINEAR,
-    NEAREST,
-    TEXEL_TYPES,
-    ShadowRecord,
-    Storage,
-    fetch_record,
-    refine_blocker,
-    shadow_test,
-    storage_of,
-    write_record,
-)
-from wkernels.views import View
-
-FULL_WIDTH_ERROR = wp.constant(0.25)  # standard error of about five tests
-UNROTATED = wp.constant(wp.mat22(1.0, 0.0, 0.0, 1.0))
-
-
-@wp.struct
-class Settings:
-    """The technique's parameters and the frame's, as the kernel needs them."""
-
-    bias: Bias
-    storage: Storage
-    weight: float  # of this frame's light sample
-    light_size: float  # L: scene units, or 2 tan(angle / 2)
-    has_history: int
-    has_movers: int
-    starts_with_pcss: int
-    start_weight: float
-    blocker_taps: wp.array(dtype=wp.vec2)
-    filter_taps: wp.array(dtype=wp.vec2)
-    first_blockers: float  # k of equation 7
-    depth_epsilon: float  # scene units
-    texel_steps: float  # BILINEAR or NEAREST
-    smooths: int
-    narrows: int
-    error_threshold: float  # t
-
-
-@wp.func
-def search_meets_mover(
-    light_map: LightMap,
-    footprint: LightFootprint,
-    receiver: Receiver,
-    position_ws: wp.vec3,
-    taps: wp.array(dtype=wp.vec2),
-) -> int:
-    """1 where the blocker search of ``pcss_visibility`` finds a blocker that moves, else 0."""
-    axes = texels_per_ratio(light_map, footprint, receiver.layer, position_ws)
-    spread = penumbra_spread(light_map, footprint, receiver, axes, footprint.nearest_depth[receiver.layer])
-    result = int(0)
-    for i in range(taps.shape[0]):
-        offset = spread * taps[i]
-        column = int(wp.floor(receiver.x + offset[0]))
-        row = int(wp.floor(receiver.y + offset[1]))
-        stored = stored_depth(light_map, receiver.layer, column, row)
-        if stored < 0.0 and receiver_depth_at(receiver, offset[0], offset[1]) > -stored:
-            result = 1
-    return result
-
-
-@wp.kernel
-def update_shadow_buffer(
-    first: int,
-    gbuffer: GBuffer,
-    light_map: LightMap,
-    footprint: LightFootprint,
-    settings: Settings,
-    previous_view: View,
-    previous: wp.array2d(dtype=Any),
-    current_out: wp.array2d(dtype=Any),
-    psi_out: wp.array2d(dtype=float),
-    error_out: wp.array2d(dtype=float),
-    half_width_out: wp.array2d(dtype=float),
-):
-    """One shadow test a pixel, added to its history; a start where there is none."""
-    row, x = wp.tid()
-    y = first + row
-    record = ShadowRecord()
-    psi = float(0.0)
-    error = float(0.0)
-    half_width = float(0.0)
-    if (gbuffer.flags[y, x] & RECEIVES) != 0:
-        position_ws = gbuffer.position_ws[y, x]
-        normal_ws = gbuffer.normal_ws[y, x]
-
-        test = shadow_test(gbuffer, y, x, light_map, settings.bias)
-        moves = test.moves
-        if settings.has_history != 0 and moves == 0:
-            record = fetch_record(
-                previous,
-                previous_view,
-                position_ws,
-                normal_ws,
-                settings.depth_epsilon,
-                settings.storage.rounding,
-                settings.texel_steps,
-            )
-        is_new = record.n <= 0.0
-        is_estimated = is_new and settings.starts_with_pcss != 0
-        if is_estimated:
-            visible = 1.0 - test.tau
-            if test.receiver.layer >= 0:
-                found = pcss_visibility(
-                    light_map,
-                    footprint,
-                    test.receiver,
-                    position_ws,
-                    settings.blocker_taps,
-                    settings.filter_taps,
-                    UNROTATED,
-                    0,
-                )
-                visible = found[0]
-                if found[1] > 0.0:
-                    record.blocker_rise = wp.clamp(1.0 - found[1] / test.receiver.plane_depth[2], 0.0, 1.0)
-                if settings.has_movers != 0 and moves == 0:
-                    moves = search_meets_mover(light_map, footprint, test.receiver, position_ws, settings.blocker_taps)
-            record.n = settings.start_weight
-            record.rho = (1.0 - visible) * settings.start_weight
-        else:
-            if test.blocker_rise > 0.0:
-                record.blocker_rise = refine_blocker(
-                    record.blocker_rise, test.blocker_rise, record.rho + settings.first_blockers
-                )
-            sums = add_test(record.rho, record.n, test.tau, settings.weight, settings.storage.limit)
-            record.rho = sums[0]
-            record.n = sums[1]
-        record.depth = gbuffer.depth[y, x]
-
-        psi = hidden_share(record.rho, record.n)
-        error = standard_error(psi, record.n)
-        if settings.smooths != 0 and (is_estimated or error > settings.error_threshold) and record.blocker_rise > 0.0:
-            # equation 6, from the depth of the point itself: it may be turned away from this sample, if not from all
-            receiver_depth = locate(light_map, position_ws)[2]
-            ratio = penumbra_ratio(footprint.is_point, receiver_depth, receiver_depth * (1.0 - record.blocker_rise))
-            width_px = settings.light_size * ratio * pixels_per_length(gbuffer.view, record.depth)
-            half_width = 0.5 * width_px
-            if settings.narrows != 0:
-                half_width = half_width * wp.min(1.0, error / FULL_WIDTH_ERROR)
-        if moves != 0:
-            record.n = 0.0
-            record.rho = 0.0
-    write_record(current_out, y, x, record, gbuffer.view.far)
-    psi_out[y, x] = psi
-    error_out[y, x] = error
-    half_width_out[y, x] = half_width
-
-
-_UPDATE = {
-    texel: wp.overload(
-        update_shadow_buffer, {"previous": wp.array2d(dtype=texel), "current_out": wp.array2d(dtype=texel)}
-    )
-    for texel in TEXEL_TYPES.values()
-}
+from wkernels.neighbourhood_filter import filter_neighbourhood, filter_neighbourhood_lanes, pull_opposite_taps
+from wkernels.receiver_lanes import flat_floats, lane_views, runs_per_row, uses_lanes
+from wkernels.shadow_buffer import BILINEAR, NEAREST, TEXEL_TYPES, storage_of
+from wkernels.shadow_buffer_lanes import update_shadow_buffer_lanes
+from wkernels.shadow_buffer_update import UPDATE, UpdateSettings
 
 
 class TcSoftPaper(Technique):
@@ -338,17 +173,29 @@ class TcSoftPaper(Technique):
         with frame.timed("shadow buffer"):
             inputs = [gbuffer, light_map, pull_footprint(frame, light_map), settings]
             inputs += [history.previous_view or gbuffer.view, history.previous]
-            frame.launch(_UPDATE[texel], shape, inputs, [history.current, psi, error, half_width])
+            outputs = [history.current, psi, error, half_width]
+            if uses_lanes(frame.device) and p.buffer == "float32":
+                flat = [lane_views(gbuffer, light_map), flat_floats(gbuffer.depth), flat_floats(history.previous)]
+                runs = (shape[0], runs_per_row(shape[1]))
+                frame.launch(update_shadow_buffer_lanes, runs, [*flat, *inputs], outputs)
+            else:
+                frame.launch(UPDATE[texel], shape, inputs, outputs)
 
         # 3: smoothed where that is still uncertain
         with frame.timed("neighbourhood filter"):
-            inputs = [gbuffer, psi, half_width, pull_opposite_taps(frame, p.taps), p.filter_depth_range]
-            frame.launch(filter_neighbourhood, shape, inputs, [visibility])
+            filtered = [psi, half_width]
+            options = [pull_opposite_taps(frame, p.taps), p.filter_depth_range]
+            if uses_lanes(frame.device):
+                images = [gbuffer.flags.flatten(), *(flat_floats(image) for image in (gbuffer.depth, *filtered))]
+                runs = (shape[0], runs_per_row(shape[1]))
+                frame.launch(filter_neighbourhood_lanes, runs, [*images, *options], [visibility])
+            else:
+                frame.launch(filter_neighbourhood, shape, [gbuffer, *filtered, *options], [visibility])
         return visibility
 
-    def _settings(self, frame: Frame, weight: float, has_history: bool, has_movers: bool) -> Settings:
+    def _settings(self, frame: Frame, weight: float, has_history: bool, has_movers: bool) -> UpdateSettings:
         p = self.params
-        out = Settings()
+        out = UpdateSettings()
         out.bias, out.storage, out.weight = p.device_bias, storage_of(p.buffer), weight
         out.light_size = 2.0 * np.tan(0.5 * frame.light.size) if frame.light.is_directional else frame.light.size
         out.has_history, out.has_movers = int(has_history), int(has_movers)
