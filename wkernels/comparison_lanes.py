@@ -9,8 +9,9 @@ from __future__ import annotations
 import warp as wp
 
 from wkernels.filtering import BORDER
+from wkernels.lanes import LANES, Floats, Ints
 from wkernels.light_map import LightMap
-from wkernels.receiver_lanes import LANES, Floats, Ints, LaneViews, ReceiverRun
+from wkernels.receiver_lanes import LaneViews, ReceiverRun
 
 
 @wp.struct
@@ -107,6 +108,7 @@ def compare_nearest_taps(
     xy = spread.xy
     yx = spread.yx
     yy = spread.yy
+    in_perspective = receivers.in_perspective
     last = float(resolution) - BORDER
     lit = Floats(0.0)
     hidden_depth = Floats(0.0)
@@ -114,6 +116,15 @@ def compare_nearest_taps(
         tap = taps[i]
         tap_x = tap[0]
         tap_y = tap[1]
+        if in_perspective == 0:
+            for k in range(LANES):
+                x = wp.clamp(xs[k] + (xx[k] * tap_x + xy[k] * tap_y), BORDER, last)
+                y = wp.clamp(ys[k] + (yx[k] * tap_x + yy[k] * tap_y), BORDER, last)
+                stored = wp.abs(depth[begin[k] + int(y) * resolution + int(x)])
+                plane = rise_x[k] * (x - xs[k]) + rise_y[k] * (y - ys[k]) + rise[k] - bias[k]
+                lit[k] = lit[k] + wp.where(plane <= stored, 1.0, 0.0)
+                hidden_depth[k] = hidden_depth[k] + wp.where(plane > stored, stored, 0.0)
+            continue
         for k in range(LANES):
             x = wp.clamp(xs[k] + (xx[k] * tap_x + xy[k] * tap_y), BORDER, last)
             y = wp.clamp(ys[k] + (yx[k] * tap_x + yy[k] * tap_y), BORDER, last)

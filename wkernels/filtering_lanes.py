@@ -9,8 +9,9 @@ import warp as wp
 
 from wkernels.comparison_lanes import SpreadRun, compare_bilinear_taps, compare_nearest_taps
 from wkernels.filtering import NEAREST_BLOCKER, LightFootprint, tap_rotation
+from wkernels.lanes import LANES, Floats
 from wkernels.light_map import LightMap
-from wkernels.receiver_lanes import LANES, Floats, LaneViews, ReceiverRun
+from wkernels.receiver_lanes import LaneViews, ReceiverRun
 
 
 def flat_half_axes(footprint: LightFootprint) -> wp.array:

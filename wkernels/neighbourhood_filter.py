@@ -13,7 +13,7 @@ from wkernels.errors import InputError
 from wkernels.frame import Session
 from wkernels.gbuffer import GBuffer
 from wkernels.geometry import RECEIVES
-from wkernels.receiver_lanes import LANES, Floats
+from wkernels.lanes import LANES, Floats
 from wkernels.views import View
 
 

@@ -1,55 +1,28 @@
 """Receivers of a run of pixels in a light map: ``light_map.locate_receiver``, 64 at a time.
 
-How to write a lane kernel
---------------------------
-A Warp kernel on the CPU handles one grid cell after the other in scalar code. LLVM turns a loop *inside* a cell into
-SIMD, if it can count the loop and see what it touches. So a lane kernel handles a run of ``LANES`` neighbouring pixels
-of a row in one cell, and keeps what it knows of them in local vectors (``Floats``, ``Ints``), one lane for each pixel:
-
-    row, column = wp.tid()                                   # launched over (rows, runs_per_row(width))
-    total = Floats(0.0)
-    for i in range(taps.shape[0]):                           # loops over taps or layers are outside,
-        right = taps[i][0]                                   # vectors and matrices become scalars before the lane loop
-        for k in range(LANES):                               # the lane loop is innermost, its trip count a constant
-            stored = depth[begin[k] + int(x[k] + right)]     # flat arrays of float or int only
-            total[k] = total[k] + wp.where(own[k] <= stored, 1.0, 0.0)   # ``where`` for ``if``
-
-1. Write and test the plain kernel first. It stays: it is the twin that tests compare the lanes with, and it runs on
-   CUDA, where the threads are the lanes and 64 of them in each would only spill registers.
-2. In a lane loop: no ``if``, ``and`` or ``while``; no vec3, mat44 or struct; no store to an array; no sin or cos.
-   Arrays of vectors are read through flat views (``LaneViews``). What does not fit goes into a loop of its own, as the
-   random rotation of taps does; a loop that is left scalar costs what the plain kernel does, and is not wrong.
-3. Both sides of a ``where`` are computed. A lane that is masked out may divide by zero, but its index must stay inside
-   the array.
-4. What is the same for all lanes (kind of bias, number of taps) is an ordinary ``if`` around lane loops. So is leaving
-   work out that no lane of the run needs.
-5. Keep the plain kernel's order of operations, so that both agree to the bit but for fused multiply-adds.
-6. Lanes beyond the end of a row repeat its last pixel and are not written.
-7. Measure. A lane kernel that is not faster goes.
+``docs/lanes.md`` says how such code is written. Lanes beyond the end of a row hold pixels of the next one, or
+nothing of use at the image's end; they are not written.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from wkernels.gbuffer import GBuffer
+from wkernels.gbuffer import PADDING, GBuffer
 from wkernels.geometry import CASTS, RECEIVES
+from wkernels.lanes import LANES, Floats, Ints, Vectors, flat_floats, runs_of
 from wkernels.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL, BIAS_SLOPE, ROUNDING, Bias, LightMap
-
-LANES = wp.constant(64)
-Floats = wp.types.vector(length=LANES, dtype=wp.float32)
-Ints = wp.types.vector(length=LANES, dtype=wp.int32)
 
 
 @wp.struct
 class LaneViews:
-    """Flat views of a G-buffer and a light map; they own no memory and must not outlive either."""
+    """Views of a G-buffer and a light map; they own no memory and must not outlive either."""
 
     width: int
-    flags: wp.array(dtype=int)  # (H W,)
-    position_ws: wp.array(dtype=float)  # (3 H W,)
-    normal_ws: wp.array(dtype=float)  # (3 H W,)
-    depth: wp.array(dtype=float)  # (layers R R,)
+    flags: wp.array(dtype=Ints)  # a run from every pixel on
+    position_ws: wp.array(dtype=Vectors)  # a run from every component on
+    normal_ws: wp.array(dtype=Vectors)
+    depth: wp.array(dtype=float)  # flat (layers R R,), to be fetched from anywhere
 
 
 @wp.struct
@@ -57,6 +30,7 @@ class ReceiverRun:
     """``Receiver`` of each lane. Lanes without a receiver hold zeros, but for a layer of -1 and their visibility."""
 
     count: int  # lanes with a receiver
+    in_perspective: int  # lanes whose plane_scale is not 0: 0 in maps of directional lights
     visible: Floats  # 0 back-lit, else 1
     layer: Ints
     x: Floats
@@ -72,30 +46,14 @@ class ReceiverRun:
     density_y: Floats
 
 
-def runs_per_row(width: int) -> int:
-    """Grid cells that a row of ``width`` pixels takes."""
-    return -(-width // LANES)
-
-
-def uses_lanes(device: str) -> bool:
-    """Whether lane kernels run on a device: the CPU; CUDA takes the plain ones."""
-    return bool(wp.get_device(device).is_cpu)
-
-
-def flat_floats(values: wp.array) -> wp.array:
-    """The components of an array of float32, or of vectors of them, as one row; a view, which must not outlive it."""
-    return wp.array(ptr=values.ptr, dtype=float, shape=values.capacity // 4, device="cpu")
-
-
 def lane_views(gbuffer: GBuffer, light_map: LightMap) -> LaneViews:
-    """Flat views of what lane kernels read, on the CPU."""
+    """Views of what lane kernels read, on the CPU."""
     out = LaneViews()
-    pixels = gbuffer.flags.size
     out.width = gbuffer.flags.shape[1]
-    out.flags = wp.array(ptr=gbuffer.flags.ptr, dtype=int, shape=pixels, device="cpu")
-    out.position_ws = wp.array(ptr=gbuffer.position_ws.ptr, dtype=float, shape=3 * pixels, device="cpu")
-    out.normal_ws = wp.array(ptr=gbuffer.normal_ws.ptr, dtype=float, shape=3 * pixels, device="cpu")
-    out.depth = wp.array(ptr=light_map.depth.ptr, dtype=float, shape=light_map.depth.size, device="cpu")
+    out.flags = runs_of(gbuffer.flags, Ints, PADDING)
+    out.position_ws = runs_of(gbuffer.position_ws, Vectors, 3 * PADDING)
+    out.normal_ws = runs_of(gbuffer.normal_ws, Vectors, 3 * PADDING)
+    out.depth = flat_floats(light_map.depth)
     return out
 
 
@@ -123,11 +81,10 @@ def to_layers(light_map: LightMap, wanted: Ints, px: Floats, py: Floats, pz: Flo
 @wp.func
 def locate_run(views: LaneViews, light_map: LightMap, bias: Bias, x0: int, y: int):
     """The receivers of pixels x0, x0 + 1, ... of row y, as ``locate_receiver`` finds them for a plain kernel."""
-    flags = views.flags
-    position_ws = views.position_ws
-    normal_ws = views.normal_ws
-    begin = y * views.width
-    last = views.width - 1
+    begin = y * views.width + x0
+    flags = views.flags[begin]
+    position_ws = views.position_ws[3 * begin]
+    normal_ws = views.normal_ws[3 * begin]
     light = light_map.light_ws
     light_x, light_y, light_z, light_w = light[0], light[1], light[2], light[3]
     px = Floats(0.0)
@@ -139,14 +96,13 @@ def locate_run(views: LaneViews, light_map: LightMap, bias: Bias, x0: int, y: in
     wanted = Ints(0)
     visible = Floats(0.0)
     for k in range(LANES):
-        at = begin + wp.min(x0 + k, last)
-        flag = flags[at]
-        x_ws = position_ws[3 * at]
-        y_ws = position_ws[3 * at + 1]
-        z_ws = position_ws[3 * at + 2]
-        n_x = normal_ws[3 * at]
-        n_y = normal_ws[3 * at + 1]
-        n_z = normal_ws[3 * at + 2]
+        flag = flags[k]
+        x_ws = position_ws[3 * k]
+        y_ws = position_ws[3 * k + 1]
+        z_ws = position_ws[3 * k + 2]
+        n_x = normal_ws[3 * k]
+        n_y = normal_ws[3 * k + 1]
+        n_z = normal_ws[3 * k + 2]
         facing = n_x * (light_x - x_ws * light_w) + n_y * (light_y - y_ws * light_w) + n_z * (light_z - z_ws * light_w)
         receives = wp.where((flag & RECEIVES) != 0, 1, 0)
         back_lit = wp.where((flag & CASTS) != 0, wp.where(facing <= 0.0, receives, 0), 0)
@@ -284,6 +240,10 @@ def locate_run(views: LaneViews, light_map: LightMap, bias: Bias, x0: int, y: in
     rounding = wp.where(bias.kind == BIAS_NONE, 0.0, ROUNDING)
     per_footprint = wp.where(bias.kind == BIAS_CONSTANT, bias.constant, 0.0)
     per_slope = wp.where(bias.kind == BIAS_SLOPE, bias.slope * 0.5, 0.0)
+    in_perspective = int(0)
+    for k in range(LANES):
+        in_perspective += wp.where(scale_x[k] != 0.0, 1, wp.where(scale_y[k] != 0.0, 1, 0))
+    run.in_perspective = in_perspective
     for k in range(LANES):
         slope = wp.abs(rise_x[k] - rise[k] * scale_x[k]) + wp.abs(rise_y[k] - rise[k] * scale_y[k])
         footprint = 1.0 / wp.max(wp.min(density_x[k], density_y[k]), 1.0e-30)

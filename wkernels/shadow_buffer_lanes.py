@@ -12,8 +12,9 @@ import warp as wp
 from wkernels.filtering import NEAREST_BLOCKER, LightFootprint
 from wkernels.gbuffer import GBuffer
 from wkernels.geometry import RECEIVES
+from wkernels.lanes import LANES, Floats, Ints
 from wkernels.light_map import LightMap
-from wkernels.receiver_lanes import LANES, Floats, Ints, LaneViews, locate_run, to_layers
+from wkernels.receiver_lanes import LaneViews, locate_run, to_layers
 from wkernels.shadow_buffer import EDGE_ON
 from wkernels.shadow_buffer_update import FULL_WIDTH_ERROR, UpdateSettings, update_pixel
 from wkernels.views import View
@@ -43,14 +44,14 @@ class HistoryRun:
 
 
 @wp.func
-def points_of_run(views: LaneViews, eye_depth: wp.array(dtype=float), x0: int, y: int):
-    """The points of pixels x0, x0 + 1, ... of row y; ``eye_depth`` is the G-buffer's, flat."""
+def points_of_run(views: LaneViews, eye_depth: wp.array(dtype=Floats), x0: int, y: int):
+    """The points of pixels x0, x0 + 1, ... of row y; ``eye_depth`` is the G-buffer's, in runs."""
     out = PointRun()
-    flags = views.flags
-    position = views.position_ws
-    normal = views.normal_ws
-    begin = y * views.width
-    last = views.width - 1
+    begin = y * views.width + x0
+    flags = views.flags[begin]
+    position = views.position_ws[3 * begin]
+    normal = views.normal_ws[3 * begin]
+    eye_depths = eye_depth[begin]
     receives = Ints(0)
     px = Floats(0.0)
     py = Floats(0.0)
@@ -60,15 +61,14 @@ def points_of_run(views: LaneViews, eye_depth: wp.array(dtype=float), x0: int, y
     nz = Floats(0.0)
     depth = Floats(0.0)
     for k in range(LANES):
-        at = begin + wp.min(x0 + k, last)
-        receives[k] = wp.where((flags[at] & RECEIVES) != 0, 1, 0)
-        px[k] = position[3 * at]
-        py[k] = position[3 * at + 1]
-        pz[k] = position[3 * at + 2]
-        nx[k] = normal[3 * at]
-        ny[k] = normal[3 * at + 1]
-        nz[k] = normal[3 * at + 2]
-        depth[k] = wp.where(receives[k] != 0, eye_depth[at], 0.0)
+        receives[k] = wp.where((flags[k] & RECEIVES) != 0, 1, 0)
+        px[k] = position[3 * k]
+        py[k] = position[3 * k + 1]
+        pz[k] = position[3 * k + 2]
+        nx[k] = normal[3 * k]
+        ny[k] = normal[3 * k + 1]
+        nz[k] = normal[3 * k + 2]
+        depth[k] = wp.where(receives[k] != 0, eye_depths[k], 0.0)
     out.receives = receives
     out.x = px
     out.y = py
@@ -208,7 +208,7 @@ def fetch_run(
 def update_shadow_buffer_lanes(
     first: int,
     views: LaneViews,
-    eye_depth: wp.array(dtype=float),
+    eye_depth: wp.array(dtype=Floats),
     flat_previous: wp.array(dtype=float),
     gbuffer: GBuffer,
     light_map: LightMap,

@@ -28,8 +28,9 @@ from wkernels.filtering import check_tap_count, penumbra_filter, pull_taps
 from wkernels.filtering_lanes import keep_without_receiver, penumbra_filter_run
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer
+from wkernels.lanes import LANES, Floats, runs_per_row, uses_lanes
 from wkernels.light_map import Bias, LightMap
-from wkernels.receiver_lanes import LANES, Floats, LaneViews, lane_views, locate_run, runs_per_row, uses_lanes
+from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.receivers import receiver_of_pixel
 
 

@@ -41,8 +41,9 @@ from wkernels.filtering import (
 from wkernels.filtering_lanes import flat_half_axes, pcss_visibility_run, tap_rotation_run
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer
+from wkernels.lanes import LANES, runs_per_row, uses_lanes
 from wkernels.light_map import Bias, LightMap
-from wkernels.receiver_lanes import LANES, LaneViews, lane_views, locate_run, runs_per_row, uses_lanes
+from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.receivers import receiver_of_pixel
 
 

@@ -19,8 +19,9 @@ from algorithms.technique import Limit, MapParams, Technique
 from wkernels.comparison_lanes import compare_nearest_run
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer
+from wkernels.lanes import LANES, runs_per_row, uses_lanes
 from wkernels.light_map import Bias, LightMap, compare_nearest
-from wkernels.receiver_lanes import LANES, LaneViews, lane_views, locate_run, runs_per_row, uses_lanes
+from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.receivers import receiver_of_pixel
 
 

@@ -22,8 +22,8 @@ import warp as wp
 from algorithms.technique import Limit, Technique, setting
 from algorithms.technique import Params as BaseParams
 from wkernels.frame import Session as Frame
+from wkernels.lanes import uses_lanes
 from wkernels.rays import binomial_standard_error, trace_light
-from wkernels.receiver_lanes import uses_lanes
 from wkernels.shaft_rays import trace_shafts
 
 

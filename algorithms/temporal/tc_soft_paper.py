@@ -46,8 +46,10 @@ from pydantic import field_validator
 from algorithms.technique import Limit, MapParams, Needs, Technique, setting
 from wkernels.filtering import check_tap_count, pull_footprint, pull_taps
 from wkernels.frame import Session as Frame
+from wkernels.gbuffer import PADDING
+from wkernels.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
 from wkernels.neighbourhood_filter import filter_neighbourhood, filter_neighbourhood_lanes, pull_opposite_taps
-from wkernels.receiver_lanes import flat_floats, lane_views, runs_per_row, uses_lanes
+from wkernels.receiver_lanes import lane_views
 from wkernels.shadow_buffer import BILINEAR, NEAREST, TEXEL_TYPES, storage_of
 from wkernels.shadow_buffer_lanes import update_shadow_buffer_lanes
 from wkernels.shadow_buffer_update import UPDATE, UpdateSettings
@@ -175,7 +177,8 @@ class TcSoftPaper(Technique):
             inputs += [history.previous_view or gbuffer.view, history.previous]
             outputs = [history.current, psi, error, half_width]
             if uses_lanes(frame.device) and p.buffer == "float32":
-                flat = [lane_views(gbuffer, light_map), flat_floats(gbuffer.depth), flat_floats(history.previous)]
+                flat = [lane_views(gbuffer, light_map), runs_of(gbuffer.depth, Floats, PADDING)]
+                flat.append(flat_floats(history.previous))
                 runs = (shape[0], runs_per_row(shape[1]))
                 frame.launch(update_shadow_buffer_lanes, runs, [*flat, *inputs], outputs)
             else:

@@ -16,10 +16,11 @@ from experiments.scenes.loader import load_scene
 from wkernels.frame import Session
 from wkernels.gbuffer import GBuffer, is_back_lit
 from wkernels.geometry import RECEIVES, Geometry
+from wkernels.lanes import LANES, runs_per_row, uses_lanes
 from wkernels.launch import launch
 from wkernels.light_map import Bias, LightMap, locate_receiver, texels_per_length, to_light
 from wkernels.lights import Light, SphereLight
-from wkernels.receiver_lanes import LANES, LaneViews, lane_views, locate_run, runs_per_row, uses_lanes
+from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.scene import Scene
 
 pytestmark = pytest.mark.usefixtures("on_cpu")

@@ -1,0 +1,45 @@
+"""The vocabulary of lane kernels: CPU kernels that handle a run of 64 neighbouring pixels in one grid cell.
+
+``docs/lanes.md`` is the page to read first.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+LANES = wp.constant(64)
+Floats = wp.types.vector(length=LANES, dtype=wp.float32)
+Ints = wp.types.vector(length=LANES, dtype=wp.int32)
+Vectors = wp.types.vector(length=3 * LANES, dtype=wp.float32)  # x, y, z of 64 points, one after the other
+
+
+def runs_per_row(width: int) -> int:
+    """Grid cells that a row of ``width`` pixels takes."""
+    return -(-width // LANES)
+
+
+def uses_lanes(device: str) -> bool:
+    """Whether lane kernels run on a device: the CPU; CUDA takes the plain ones."""
+    return bool(wp.get_device(device).is_cpu)
+
+
+def flat_floats(values: wp.array) -> wp.array:
+    """The components of an array of float32, or of vectors of them, as one row; a view, which must not outlive it."""
+    return wp.array(ptr=values.ptr, dtype=float, shape=values.capacity // 4, device="cpu")
+
+
+def runs_of(values: wp.array, dtype: type, padding: int = 0) -> wp.array:
+    """Overlapping runs of an array: entry i is the 64 elements from the i-th component on, loaded at once.
+
+    An index within a lane loop, ``values[begin + k]``, is a gather, even where the elements lie side by side; a whole
+    run costs a quarter of that. A view, which must not outlive the array.
+
+    Args:
+        values: Contiguous, on the CPU, components of 4 bytes.
+        dtype: ``Floats``, ``Ints``, or ``Vectors`` for an array of vec3, whose entries begin at every third component.
+        padding: Components of memory behind the last one that may be read. A run that begins less than 64 elements
+            before the end needs them.
+    """
+    run = 3 * LANES if dtype is Vectors else LANES
+    entries = max(0, values.capacity // 4 + padding - int(run) + 1)
+    return wp.array(ptr=values.ptr, dtype=dtype, shape=entries, strides=(4,), device="cpu")
