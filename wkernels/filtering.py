@@ -19,6 +19,7 @@ import warp as wp
 from wkernels.disc_sets import box_taps, poisson_disc_taps
 from wkernels.errors import InputError, nearest
 from wkernels.frame import Session
+from wkernels.lanes import LANES, Floats, runs_of, uses_lanes
 from wkernels.light_extent import light_half_axes
 from wkernels.light_map import LightMap, Receiver, compare_bilinear, receiver_depth_at, texels_per_length
 from wkernels.sampling import hash_2d, uniform_01
@@ -99,7 +100,11 @@ def pull_footprint(frame: Session, light_map: LightMap, slot: Hashable = "centre
         out.is_point = 0.0 if frame.light.is_directional else 1.0
         out.nearest_depth = wp.empty(layers, dtype=float, device=frame.device)
         rows = frame.buffer("row minima", (layers, light_map.resolution), wp.float32)
-        frame.launch(find_row_minima, rows.shape[::-1], [light_map.depth], [rows])
+        if uses_lanes(frame.device) and light_map.resolution >= LANES:
+            inputs = [runs_of(light_map.depth, Floats), light_map.resolution]
+            frame.launch(find_row_minima_lanes, rows.shape[::-1], inputs, [rows])
+        else:
+            frame.launch(find_row_minima, rows.shape[::-1], [light_map.depth], [rows])
         frame.launch(find_minima, layers, [rows], [out.nearest_depth])
         return out
 
@@ -117,6 +122,22 @@ def find_row_minima(first: int, depth: wp.array3d(dtype=float), minima_out: wp.a
     for x in range(depth.shape[2]):
         least = wp.min(least, wp.abs(depth[layer, y, x]))
     minima_out[layer, y] = least
+
+
+@wp.kernel
+def find_row_minima_lanes(
+    first: int, depth: wp.array(dtype=Floats), resolution: int, minima_out: wp.array2d(dtype=float)
+):
+    """``find_row_minima`` of maps at least 64 texels wide."""
+    row, layer = wp.tid()
+    y = first + row
+    least = Floats(float(wp.inf))
+    begin = (layer * resolution + y) * resolution
+    for x in range(0, resolution, LANES):
+        held = depth[begin + wp.min(x, resolution - LANES)]
+        for k in range(LANES):
+            least[k] = wp.min(least[k], wp.abs(held[k]))
+    minima_out[layer, y] = wp.min(least)
 
 
 @wp.kernel

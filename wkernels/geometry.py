@@ -73,6 +73,7 @@ class Geometry:
         triangle_mesh: int32, shape (T,).
         mesh_flags: int32, shape (M,): CASTS | RECEIVES | MOVES.
         mesh_diffuse: vec3, shape (M,).
+        moving_triangles: vec2i, one (begin, end) for each moving mesh.
         version: Grows whenever a vertex moves.
     """
 
@@ -105,6 +106,9 @@ class Geometry:
         self.indices = upload([f.ravel() for f in faces], wp.int32, "int32")
         self.triangles = sum(sizes)
         self.caster_triangles = sum(n for n, mesh in zip(sizes, self.meshes, strict=True) if mesh.casts)
+        ends = np.cumsum([0, *sizes])
+        moving = [(ends[i], ends[i + 1]) for i, mesh in enumerate(self.meshes) if mesh.moving]
+        self.moving_triangles = wp.array(np.array(moving, np.int32).reshape(-1, 2), dtype=wp.vec2i, device=device)
         # Warp cannot slice an array of no elements, which a scene without meshes has
         self.caster_indices = self.indices[: 3 * self.caster_triangles] if self.triangles else self.indices
         self.triangle_mesh = upload([np.repeat(np.arange(len(sizes)), sizes)], wp.int32, "int32")

@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from wkernels.geometry import MOVES, Geometry
+from wkernels.lanes import LANES, Floats, Ints, runs_of, uses_lanes
 from wkernels.launch import launch
 from wkernels.light_map import LightMap
 from wkernels.raster import Rasteriser
@@ -30,6 +31,29 @@ def tag_moving(
     if t >= 0:
         if (mesh_flags[triangle_mesh[t]] & MOVES) != 0:
             depth_out[layer, y, x] = -depth_out[layer, y, x]
+
+
+@wp.kernel
+def tag_moving_lanes(
+    first: int,
+    triangle: wp.array(dtype=Ints),
+    moving: wp.array(dtype=wp.vec2i),
+    pixels: int,
+    depth_out: wp.array(dtype=Floats),
+):
+    """``tag_moving`` of a run of texels of one layer; ``moving`` are ranges of triangles, begin and end."""
+    run = first + wp.tid()
+    at = wp.min(run * LANES, pixels - LANES)
+    own = run * LANES - at  # the last run begins within the one before, whose texels are done
+    triangles = triangle[at]
+    depth = depth_out[at]
+    for i in range(moving.shape[0]):
+        begin = moving[i][0]
+        end = moving[i][1]
+        for k in range(LANES):
+            inside = wp.where(triangles[k] >= begin, wp.where(triangles[k] < end, 1, 0), 0)
+            depth[k] = wp.where(inside != 0, wp.where(k >= own, -depth[k], depth[k]), depth[k])
+    depth_out[at] = depth
 
 
 def draw_light_map(
@@ -71,6 +95,20 @@ def draw_light_map(
     for layer, view in enumerate(views):
         rasteriser.draw(geometry.points_ws, geometry.caster_indices, view.to_device(), out.depth[layer], triangle, cull)
         if triangle is not None:
-            inputs = [triangle, geometry.triangle_mesh, geometry.mesh_flags, layer]
-            launch(tag_moving, triangle.shape, inputs, [out.depth], device=device, threads=rasteriser.threads)
+            _tag_moving(out.depth, layer, geometry, triangle, rasteriser)
     return out
+
+
+def _tag_moving(depth: wp.array, layer: int, geometry: Geometry, triangle: wp.array, rasteriser: Rasteriser) -> None:
+    device, threads = rasteriser.device, rasteriser.threads
+    pixels = triangle.size
+    if not uses_lanes(device) or pixels < LANES:
+        inputs = [triangle, geometry.triangle_mesh, geometry.mesh_flags, layer]
+        launch(tag_moving, triangle.shape, inputs, [depth], device=device, threads=threads)
+        return
+    runs = -(-pixels // int(LANES))
+    inputs = [runs_of(triangle, Ints), geometry.moving_triangles, pixels]
+    if pixels % int(LANES):
+        # the last two runs overlap: one thread does them one after the other
+        threads = 1
+    launch(tag_moving_lanes, runs, inputs, [runs_of(depth[layer], Floats)], device=device, threads=threads)

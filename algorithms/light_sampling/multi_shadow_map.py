@@ -20,11 +20,14 @@ import numpy as np
 import warp as wp
 
 from algorithms.technique import MapParams, Technique, setting
+from wkernels.comparison_lanes import compare_nearest_run
 from wkernels.estimators import standard_error
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer, is_back_lit
 from wkernels.geometry import RECEIVES
+from wkernels.lanes import LANES, runs_per_row, uses_lanes
 from wkernels.light_map import Bias, LightMap, compare_nearest, locate_receiver, to_light
+from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 
 
 @wp.kernel
@@ -42,6 +45,22 @@ def add_comparison(
             if receiver.layer >= 0:
                 visible = compare_nearest(light_map, receiver)
             seen_out[y, x] = seen_out[y, x] + weight * visible
+
+
+@wp.kernel
+def add_comparison_lanes(
+    first: int, views: LaneViews, light_map: LightMap, bias: Bias, weight: float, seen_out: wp.array2d(dtype=float)
+):
+    """``add_comparison`` of a run of pixels; those that receive nothing may count as lit."""
+    row, column = wp.tid()
+    y = first + row
+    x0 = column * LANES
+    receivers = locate_run(views, light_map, bias, x0, y)
+    visible = receivers.visible
+    if receivers.count > 0:
+        visible = compare_nearest_run(views, light_map, receivers)
+    for k in range(wp.min(LANES, seen_out.shape[1] - x0)):
+        seen_out[y, x0 + k] = seen_out[y, x0 + k] + weight * visible[k]
 
 
 @wp.kernel
@@ -103,8 +122,12 @@ class MultiShadowMap(Technique):
         for i in range(maps):
             light_map = frame.light_map(p.resolution, samples.host[i], slot=("sample", i), cull=p.cull)
             with frame.timed("compare depths"):
-                inputs = [gbuffer, light_map, p.device_bias, float(weights[i])]
-                frame.launch(add_comparison, seen.shape, inputs, [seen])
+                inputs = [light_map, p.device_bias, float(weights[i])]
+                if uses_lanes(frame.device):
+                    runs = (seen.shape[0], runs_per_row(seen.shape[1]))
+                    frame.launch(add_comparison_lanes, runs, [lane_views(gbuffer, light_map), *inputs], [seen])
+                else:
+                    frame.launch(add_comparison, seen.shape, [gbuffer, *inputs], [seen])
         with frame.timed("average"):
             inputs = [gbuffer, seen, float(total), float(p.samples)]
             frame.launch(average, visibility.shape, inputs, [visibility, error])
