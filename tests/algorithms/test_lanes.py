@@ -162,6 +162,7 @@ CASES: list[tuple[str, dict[str, Any]]] = [
     ("pcss", {"rotate": True}),
     ("pcss", {"bilinear": True, "rotate": True}),
     ("pcss", {"kernel": "box", "blocker_taps": 9, "filter_taps": 25}),
+    ("multi_shadow_map", {"samples": 5}),
 ]
 
 
@@ -209,3 +210,36 @@ def test_lanes_do_not_depend_on_threads(name: str) -> None:
     ]
     for image in images[1:]:
         np.testing.assert_array_equal(image, images[0])
+
+
+# ---- over time ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("params", [{}, {"start": "sample"}, {"history": "nearest", "filter_width": "penumbra"}])
+@pytest.mark.parametrize("scene", ["overlap", "moving_blocker"])
+def test_a_shadow_buffer_in_lanes_remembers_what_the_plain_one_does(
+    scene: str, params: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Along a path with movers, disocclusion and history at fractions of a pixel."""
+    plugin = find("tc_soft_paper")
+    module = sys.modules[plugin.__module__]
+    loaded = load_scene(f"configs/scenes/{scene}.yaml")
+    running = {lanes: session(loaded, 150, 84) for lanes in (False, True)}
+    technique = plugin(plugin.Params(resolution=256, **params))
+    worst, settled = 0.0, 0
+    for frame in range(0, 60, 4):
+        made = {}
+        for lanes, own in running.items():
+            monkeypatch.setattr(module, "uses_lanes", lambda device, lanes=lanes: lanes)
+            own.begin(frame)
+            made[lanes] = own.render(technique)
+            own.advance()
+        difference = np.abs(made[True].visibility - made[False].visibility)
+        seen = np.isfinite(difference)
+        np.testing.assert_array_equal(seen, np.isfinite(made[False].visibility))
+        # a texel of history that just passes or just fails its depth test changes what its pixel remembers
+        worst = max(worst, float((difference[seen] > 1e-4).mean()))
+        errors = made[True].standard_error[seen] - made[False].standard_error[seen]
+        assert (np.abs(errors) > 1e-4).mean() <= 0.01
+        settled += int(((made[True].standard_error[seen] < 0.3) & (made[True].visibility[seen] > 0.0)).sum())
+    assert worst <= 0.01 and settled > 1000
