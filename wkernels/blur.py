@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wkernels.lanes import LANES, Floats, flat_floats, runs_of, runs_per_row, uses_lanes
 from wkernels.launch import launch
 
 
@@ -58,6 +59,64 @@ def blur_columns(first: int, image: wp.array2d[Any], weights: wp.array[float], b
     blurred_out[y, x] = total
 
 
+@wp.kernel
+def blur_rows_lanes(
+    first: int,
+    image: wp.array(dtype=float),  # flat, rows of ``row_floats``
+    image_runs: wp.array(dtype=Floats),  # a run from every float on
+    row_floats: int,
+    components: int,
+    weights: wp.array(dtype=float),
+    blurred_out: wp.array(dtype=Floats),
+):
+    """``blur_rows`` of a run of floats; the last run of a row begins within the one before."""
+    row, run = wp.tid()
+    begin = (first + row) * row_floats
+    start = wp.min(run * LANES, row_floats - LANES)
+    radius = weights.shape[0] / 2
+    reach = radius * components
+    total = Floats(0.0)
+    if start >= reach and start + LANES + reach <= row_floats:
+        for i in range(weights.shape[0]):
+            weight = weights[i]
+            values = image_runs[begin + start + (i - radius) * components]
+            for k in range(LANES):
+                total[k] = total[k] + weight * values[k]
+    else:
+        last = row_floats / components - 1
+        for i in range(weights.shape[0]):
+            weight = weights[i]
+            for k in range(LANES):
+                texel = (start + k) / components
+                component = start + k - texel * components
+                nearest = wp.clamp(texel + i - radius, 0, last)
+                total[k] = total[k] + weight * image[begin + nearest * components + component]
+    blurred_out[begin + start] = total
+
+
+@wp.kernel
+def blur_columns_lanes(
+    first: int,
+    image_runs: wp.array(dtype=Floats),
+    row_floats: int,
+    rows: int,
+    weights: wp.array(dtype=float),
+    blurred_out: wp.array(dtype=Floats),
+):
+    """``blur_columns`` of a run of floats."""
+    row, run = wp.tid()
+    y = first + row
+    start = wp.min(run * LANES, row_floats - LANES)
+    radius = weights.shape[0] / 2
+    total = Floats(0.0)
+    for i in range(weights.shape[0]):
+        weight = weights[i]
+        values = image_runs[wp.clamp(y + i - radius, 0, rows - 1) * row_floats + start]
+        for k in range(LANES):
+            total[k] = total[k] + weight * values[k]
+    blurred_out[y * row_floats + start] = total
+
+
 _TYPES = (wp.vec2, wp.vec4)
 _BLUR_ROWS, _BLUR_COLUMNS = (
     {t: wp.overload(kernel, [int, wp.array2d(dtype=t), wp.array(dtype=float), wp.array2d(dtype=t)]) for t in _TYPES}
@@ -97,6 +156,15 @@ def separable_blur(
     scratch = wp.empty_like(image) if scratch is None else scratch
     out = wp.empty_like(image) if out is None else out
     taps = wp.array(np.asarray(weights, np.float32), dtype=float, device=device)
+    components = image.dtype._length_
+    row_floats = image.shape[1] * components
+    if uses_lanes(device) and row_floats >= LANES and image.is_contiguous and out.is_contiguous:
+        runs = (image.shape[0], runs_per_row(row_floats))
+        inputs = [flat_floats(image), runs_of(image, Floats), row_floats, components, taps]
+        launch(blur_rows_lanes, runs, inputs, [runs_of(scratch, Floats)], device=device, threads=threads)
+        inputs = [runs_of(scratch, Floats), row_floats, image.shape[0], taps]
+        launch(blur_columns_lanes, runs, inputs, [runs_of(out, Floats)], device=device, threads=threads)
+        return out
     launch(_BLUR_ROWS[image.dtype], image.shape, [image, taps], [scratch], device=device, threads=threads)
     launch(_BLUR_COLUMNS[image.dtype], image.shape, [scratch, taps], [out], device=device, threads=threads)
     return out

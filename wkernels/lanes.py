@@ -10,6 +10,7 @@ import warp as wp
 LANES = wp.constant(64)
 Floats = wp.types.vector(length=LANES, dtype=wp.float32)
 Ints = wp.types.vector(length=LANES, dtype=wp.int32)
+Pairs = wp.types.vector(length=2 * LANES, dtype=wp.float32)  # of 64 vec2
 Vectors = wp.types.vector(length=3 * LANES, dtype=wp.float32)  # x, y, z of 64 points, one after the other
 
 
@@ -36,10 +37,11 @@ def runs_of(values: wp.array, dtype: type, padding: int = 0) -> wp.array:
 
     Args:
         values: Contiguous, on the CPU, components of 4 bytes.
-        dtype: ``Floats``, ``Ints``, or ``Vectors`` for an array of vec3, whose entries begin at every third component.
+        dtype: ``Floats``, ``Ints``, ``Pairs`` for an array of vec2, or ``Vectors`` for one of vec3, whose entries begin
+            at every second or third component.
         padding: Components of memory behind the last one that may be read. A run that begins less than 64 elements
             before the end needs them.
     """
-    run = 3 * LANES if dtype is Vectors else LANES
+    run = {Pairs: 2 * LANES, Vectors: 3 * LANES}.get(dtype, LANES)
     entries = max(0, values.capacity // 4 + padding - int(run) + 1)
     return wp.array(ptr=values.ptr, dtype=dtype, shape=entries, strides=(4,), device="cpu")

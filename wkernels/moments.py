@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from wkernels.lanes import LANES, Floats, Pairs
+from wkernels.receiver_lanes import ReceiverRun
+
 
 @wp.struct
 class Chebyshev:
@@ -63,6 +66,73 @@ def find_moments(
         dy = smaller_step(above, z, below)
         square += 0.25 * (dx * dx + dy * dy)
     moments_out[y, x] = wp.vec2(z, square)
+
+
+@wp.kernel
+def find_moments_lanes(
+    first: int,
+    depth: wp.array(dtype=Floats),  # of one layer, a run from every texel on
+    chebyshev: Chebyshev,
+    texels: int,
+    moments_out: wp.array(dtype=Pairs),
+):
+    """``find_moments`` of a run of texels, without the slope term; the last run begins within the one before."""
+    at = wp.min((first + wp.tid()) * LANES, texels - LANES)
+    near = chebyshev.near
+    per_length = chebyshev.per_length
+    depths = depth[at]
+    out = Pairs()
+    for k in range(LANES):
+        z = wp.min((depths[k] - near) * per_length, 1.0) - 0.5
+        out[2 * k] = z
+        out[2 * k + 1] = z * z
+    moments_out[2 * at] = out
+
+
+@wp.func
+def lit_share_run(
+    chebyshev: Chebyshev, moments: wp.array(dtype=float), receivers: ReceiverRun, resolution: int
+):
+    """``lit_share`` of each lane with a receiver from ``sample_bilinear`` at its place, the others' visibility.
+
+    ``moments`` are those of all layers, flat.
+    """
+    layers = receivers.layer
+    visible = receivers.visible
+    xs = receivers.x
+    ys = receivers.y
+    own = receivers.depth
+    near = chebyshev.near
+    per_length = chebyshev.per_length
+    least = chebyshev.min_variance
+    bleeding = chebyshev.bleeding
+    last = resolution - 1
+    for k in range(LANES):
+        left = wp.floor(xs[k] - 0.5)
+        top = wp.floor(ys[k] - 0.5)
+        x0 = wp.clamp(int(left), 0, last)
+        x1 = wp.clamp(int(left) + 1, 0, last)
+        y0 = (wp.max(layers[k], 0) * resolution + wp.clamp(int(top), 0, last)) * resolution
+        y1 = (wp.max(layers[k], 0) * resolution + wp.clamp(int(top) + 1, 0, last)) * resolution
+        fx = xs[k] - 0.5 - left
+        fy = ys[k] - 0.5 - top
+        a = 2 * (y0 + x0)
+        b = 2 * (y0 + x1)
+        c = 2 * (y1 + x0)
+        d = 2 * (y1 + x1)
+        upper = moments[a] * (1.0 - fx) + moments[b] * fx
+        lower = moments[c] * (1.0 - fx) + moments[d] * fx
+        upper_square = moments[a + 1] * (1.0 - fx) + moments[b + 1] * fx
+        lower_square = moments[c + 1] * (1.0 - fx) + moments[d + 1] * fx
+        mean = upper * (1.0 - fy) + lower * fy
+        square = upper_square * (1.0 - fy) + lower_square * fy
+        depth = wp.min((own[k] - near) * per_length, 1.0) - 0.5
+        behind = depth - mean
+        variance = wp.max(square - mean * mean, least)
+        bound = wp.where(behind > 0.0, variance / (variance + behind * behind), 1.0)
+        lit = wp.max(bound - bleeding, 0.0) / (1.0 - bleeding)
+        visible[k] = wp.where(layers[k] >= 0, lit, visible[k])
+    return visible
 
 
 @wp.func

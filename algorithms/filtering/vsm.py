@@ -39,8 +39,19 @@ from wkernels.filtering import (
 )
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer
+from wkernels.lanes import LANES, Floats, Pairs, flat_floats, runs_of, runs_per_row, uses_lanes
 from wkernels.light_map import Bias, LightMap
-from wkernels.moments import Chebyshev, depth_range, find_moments, lit_share, normalised, sample_bilinear
+from wkernels.moments import (
+    Chebyshev,
+    depth_range,
+    find_moments,
+    find_moments_lanes,
+    lit_share,
+    lit_share_run,
+    normalised,
+    sample_bilinear,
+)
+from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.receivers import receiver_of_pixel
 from wkernels.summed_area import box_mean, summed_area_table
 
@@ -64,6 +75,28 @@ def look_up_blurred(
         mean = sample_bilinear(moments, receiver.layer, receiver.x, receiver.y)
         visible = lit_share(chebyshev, mean, normalised(chebyshev, receiver.depth))
     visibility_out[y, x] = visible
+
+
+@wp.kernel
+def look_up_blurred_lanes(
+    first: int,
+    views: LaneViews,
+    light_map: LightMap,
+    bias: Bias,
+    chebyshev: Chebyshev,
+    moments: wp.array(dtype=float),
+    visibility_out: wp.array2d(dtype=float),
+):
+    """``look_up_blurred`` of a run of pixels."""
+    row, column = wp.tid()
+    y = first + row
+    x0 = column * LANES
+    receivers = locate_run(views, light_map, bias, x0, y)
+    visible = receivers.visible
+    if receivers.count > 0:
+        visible = lit_share_run(chebyshev, moments, receivers, light_map.resolution)
+    for k in range(wp.min(LANES, visibility_out.shape[1] - x0)):
+        visibility_out[y, x0 + k] = visible[k]
 
 
 @wp.kernel
@@ -179,17 +212,22 @@ class Vsm(Technique):
         params = self.params
         light_map = frame.light_map(params.resolution, cull=params.cull)
         moments = self._moments(frame, light_map)
-        common = [gbuffer, light_map, params.device_bias, moments.chebyshev]
+        common = [light_map, params.device_bias, moments.chebyshev]
         if params.width == "fixed":
             image = self._blurred(frame, moments)
             with frame.timed("moment lookup"):
-                frame.launch(look_up_blurred, visibility.shape, [*common, image], [visibility])
+                if uses_lanes(frame.device):
+                    inputs = [lane_views(gbuffer, light_map), *common, flat_floats(image)]
+                    runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
+                    frame.launch(look_up_blurred_lanes, runs, inputs, [visibility])
+                else:
+                    frame.launch(look_up_blurred, visibility.shape, [gbuffer, *common, image], [visibility])
             return visibility
         tables = self._tables(frame, moments)
         footprint = pull_footprint(frame, light_map)
         taps = pull_taps(frame, "poisson", params.blocker_taps)
         with frame.timed("penumbra lookup"):
-            frame.launch(look_up_penumbra, visibility.shape, [*common, footprint, taps, tables], [visibility])
+            frame.launch(look_up_penumbra, visibility.shape, [gbuffer, *common, footprint, taps, tables], [visibility])
         return visibility
 
     def _moments(self, frame: Frame, light_map: LightMap) -> Moments:
@@ -201,8 +239,15 @@ class Vsm(Technique):
             chebyshev.min_variance, chebyshev.bleeding = self.params.min_variance, self.params.bleeding
             image = _reuse(old.image if old else None, light_map.depth.shape, wp.vec2, frame.device)
             for layer in range(light_map.layers):
-                inputs = [light_map.depth, chebyshev, int(self.params.slope_variance), layer]
-                frame.launch(find_moments, image.shape[1:], inputs, [image[layer]])
+                texels = light_map.resolution**2
+                if uses_lanes(frame.device) and texels >= LANES and not self.params.slope_variance:
+                    runs = runs_of(image[layer], Pairs)
+                    inputs = [runs_of(light_map.depth[layer], Floats), chebyshev, texels]
+                    # with a remainder the last two runs overlap, and both write the same
+                    frame.launch(find_moments_lanes, runs_per_row(texels), inputs, [runs])
+                else:
+                    inputs = [light_map.depth, chebyshev, int(self.params.slope_variance), layer]
+                    frame.launch(find_moments, image.shape[1:], inputs, [image[layer]])
             return Moments(chebyshev, image)
 
         # a map that is drawn anew is a new struct, so that the struct itself stands for everything the map depends on

@@ -163,6 +163,8 @@ CASES: list[tuple[str, dict[str, Any]]] = [
     ("pcss", {"bilinear": True, "rotate": True}),
     ("pcss", {"kernel": "box", "blocker_taps": 9, "filter_taps": 25}),
     ("multi_shadow_map", {"samples": 5}),
+    ("vsm", {}),
+    ("vsm", {"taps": 21, "bleeding": 0.2}),
 ]
 
 
@@ -173,7 +175,8 @@ def test_lanes_and_plain_kernel_make_the_same_image(
 ) -> None:
     plain, lanes = twins(small.cluttered(LIGHTS[lamp]), name, monkeypatch, resolution=256, **params)
     assert name == "shadow_map" or ((plain > 0.05) & (plain < 0.95)).sum() > 50
-    assert (plain == 1.0).sum() > 200 and (plain == 0.0).sum() > 100
+    darkest = 0.05 if name == "vsm" else 0.0  # an upper bound is hardly ever 0
+    assert (plain == 1.0).sum() > 200 and (plain <= darkest).sum() > 100
     assert_same(plain, lanes)
 
 

@@ -7,7 +7,7 @@ import pytest
 import small_scenes as small
 import warp as wp
 
-from wkernels import filtering, light_map_drawing, shading
+from wkernels import blur, filtering, light_map_drawing, shading
 from wkernels.filtering import pull_footprint
 from wkernels.frame import Session
 from wkernels.geometry import Geometry
@@ -71,6 +71,20 @@ def test_the_nearest_blocker(resolution: int, light: object, monkeypatch: pytest
 
     plain, lanes = in_both_ways(monkeypatch, filtering, make)
     np.testing.assert_array_equal(lanes, plain)
+
+
+@pytest.mark.parametrize("dtype", [wp.vec2, wp.vec4])
+@pytest.mark.parametrize("shape", [(9, 16), (30, 33), (40, 100), (3, 500)])
+@pytest.mark.parametrize("radius", [0, 2, 40])
+def test_blur(dtype: type, shape: tuple[int, int], radius: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    values = np.random.default_rng(3).normal(size=(*shape, dtype._length_)).astype(np.float32)  # type: ignore[attr-defined]
+
+    def make() -> np.ndarray:
+        image = wp.array(values, dtype=dtype, device="cpu")
+        return blur.separable_blur(image, blur.gaussian_weights(radius), threads=2).numpy()
+
+    plain, lanes = in_both_ways(monkeypatch, blur, make)
+    np.testing.assert_allclose(lanes, plain, atol=1e-6)
 
 
 def test_runs_are_the_memory_they_show() -> None:
