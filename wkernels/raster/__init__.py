@@ -9,16 +9,24 @@ threads.
 - ``lanes``: the CPU's path, bands of rows with the inner loops written so that LLVM turns them into SIMD;
 - ``tiles``: the plain CPU path, for projections that are neither perspective nor orthographic, and the others' twin;
 - ``stripes``: CUDA;
+- ``counting``, ``lane_counting``: how often pixels are covered, on the same three;
 - ``triangles``: projection, clipping, coverage and depth functions that they share.
 """
 
 from __future__ import annotations
 
+import functools
+import itertools
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 import warp as wp
 
+from wkernels.errors import InputError
+from wkernels.launch import _team, default_threads
+from wkernels.raster.counting import COUNT_ALL, COUNT_FARTHER, COUNT_NEARER, Counted, count_plainly
+from wkernels.raster.lane_counting import LaneCounter
 from wkernels.raster.lanes import MAX_TRIANGLES, LaneRasteriser, projection_kind
 from wkernels.raster.scratch import Scratch
 from wkernels.raster.stripes import draw_stripes
@@ -37,7 +45,16 @@ from wkernels.raster.triangles import (
 )
 from wkernels.views import View
 
-__all__ = ["CULL_BACK", "CULL_FRONT", "CULL_NONE", "Rasteriser", "to_homogeneous_pixels"]
+__all__ = [
+    "COUNT_ALL",
+    "COUNT_FARTHER",
+    "COUNT_NEARER",
+    "CULL_BACK",
+    "CULL_FRONT",
+    "CULL_NONE",
+    "Rasteriser",
+    "to_homogeneous_pixels",
+]
 
 
 class Rasteriser:
@@ -55,6 +72,8 @@ class Rasteriser:
         self.device, self.threads, self.path = device, threads, path
         self._scratch = Scratch(device, threads)
         self._lanes = LaneRasteriser(self._scratch)
+        self._counter = LaneCounter(self._scratch)
+        self._workers: list[Rasteriser] = []  # of ``draw_many``, each with scratch of its own
 
     def draw(
         self,
@@ -75,18 +94,107 @@ class Rasteriser:
             triangle_out: int32 (H, W): its triangle, -1 where there is none.
             cull: CULL_NONE, CULL_BACK or CULL_FRONT, as seen from the view (counter-clockwise is front).
         """
-        on_cpu = wp.get_device(self.device).is_cpu
-        count = len(indices) // 3
-        if on_cpu and self.path == "lanes" and count < MAX_TRIANGLES and depth_out.is_contiguous:
-            if (kind := projection_kind(view)) is not None:
-                self._lanes.draw(points_ws, indices, view, kind, depth_out, triangle_out, cull)
-                return
+        if (kind := self._lane_kind(indices, view, depth_out)) is not None:
+            self._lanes.draw(points_ws, indices, view, kind, depth_out, triangle_out, cull)
+            return
         triangles, total = self._project(points_ws, indices, view, cull)
         with_triangles = int(triangle_out is not None)
         if triangle_out is None:
             triangle_out = self._scratch.array("no triangles", (1, 1), int)
-        draw = draw_tiles if on_cpu else draw_stripes
+        draw = draw_tiles if wp.get_device(self.device).is_cpu else draw_stripes
         draw(self._scratch, triangles, total, with_triangles, depth_out, triangle_out)
+
+    def draw_many(
+        self,
+        points_ws: wp.array,
+        indices: wp.array,
+        views: Sequence[View],
+        depth_out: wp.array,
+        triangle_out: wp.array | None = None,
+        cull: int = CULL_NONE,
+    ) -> None:
+        """Draws the same triangles into many views, the same bits as ``draw`` into each.
+
+        On the CPU every thread draws whole views: a small map is not worth sharing, and each has a core to itself.
+
+        Args:
+            points_ws: vec3, shape (V,).
+            indices: int32, shape (3 T,).
+            views: One per layer, all of the same size.
+            depth_out: float32 (layers, H, W), as for ``draw``.
+            triangle_out: int32 (layers, H, W), or None.
+            cull: CULL_NONE, CULL_BACK or CULL_FRONT, as seen from each view.
+        """
+
+        def draw_layer(rasteriser: Rasteriser, layer: int) -> None:
+            owner = None if triangle_out is None else triangle_out[layer]
+            rasteriser.draw(points_ws, indices, views[layer], depth_out[layer], owner, cull)
+
+        on_cpu = wp.get_device(self.device).is_cpu
+        threads = min(self.threads or default_threads(), len(views)) if on_cpu else 1
+        if threads <= 1:
+            for layer in range(len(views)):
+                draw_layer(self, layer)
+            return
+        while len(self._workers) < threads:
+            self._workers.append(Rasteriser(self.device, 1, self.path))
+        next_layer = itertools.count()
+
+        def work(rasteriser: Rasteriser) -> None:
+            while (layer := next(next_layer)) < len(views):
+                draw_layer(rasteriser, layer)
+
+        _team.run([functools.partial(work, rasteriser) for rasteriser in self._workers[:threads]])
+
+    def count(
+        self,
+        points_ws: wp.array,
+        indices: wp.array,
+        view: View,
+        depth: wp.array | None,
+        count_out: wp.array,
+        test: int = COUNT_NEARER,
+        front: int = 1,
+        back: int = -1,
+    ) -> None:
+        """Counts the faces that cover each pixel before or behind what is seen there (Crow 1977, Heidmann 1991).
+
+        Coverage is that of ``draw``. Triangles are clipped at the near plane, so that COUNT_NEARER says nothing true of
+        volumes that hold the eye or are cut there; COUNT_FARTHER does, for closed volumes. Nothing is clipped at the
+        far plane: a volume that should reach to infinity is extruded by 1e4 times the scene's size.
+
+        Args:
+            points_ws: vec3, shape (V,).
+            indices: int32, shape (3 T,).
+            view: Target size and projection; 1 to 8192 pixels per side.
+            depth: float32 (H, W): linear depth of what is seen, +inf where that is nothing; None for COUNT_ALL.
+            count_out: int32 (H, W): the sum of what all counted faces add; within 2^24 at any time.
+            test: COUNT_NEARER (the face's depth < ``depth``), COUNT_FARTHER (all others), COUNT_ALL.
+            front: What a face that is counter-clockwise seen from the view adds.
+            back: What any other adds. (1, -1) counts volumes entered and not left; (1, 0) and (0, 1) either kind alone.
+
+        Raises:
+            InputError: No depth to test against.
+        """
+        if depth is None:
+            if test != COUNT_ALL:
+                raise InputError("rasteriser: a depth test needs the depth that is seen; COUNT_ALL takes none")
+            depth = self._scratch.array("no depth", (1, 8), float)
+        counted = Counted()
+        counted.depth, counted.test, counted.front, counted.back = depth, test, front, back
+        cull = CULL_FRONT if front == 0 else CULL_BACK if back == 0 else CULL_NONE
+        kind = self._lane_kind(indices, view, count_out)
+        if kind is not None and depth.is_contiguous:
+            self._counter.count(points_ws, indices, view, kind, counted, count_out, cull)
+            return
+        triangles, total = self._project(points_ws, indices, view, cull)
+        count_plainly(self._scratch, triangles, total, counted, count_out)
+
+    def _lane_kind(self, indices: wp.array, view: View, out: wp.array) -> int | None:
+        """``projection_kind(view)`` where lanes are used, else None."""
+        fits = len(indices) // 3 < MAX_TRIANGLES and out.is_contiguous
+        lanes = self.path == "lanes" and wp.get_device(self.device).is_cpu and fits
+        return projection_kind(view) if lanes else None
 
     def _project(self, points_ws: wp.array, indices: wp.array, view: View, cull: int) -> tuple[ScreenTriangles, int]:
         scratch, count = self._scratch, len(indices) // 3
