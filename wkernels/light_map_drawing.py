@@ -68,9 +68,12 @@ def draw_light_map(
     out.right_ws, out.up_ws = axes("right_ws"), axes("up_ws")
     out.layers, out.resolution = layers, resolution
     out.light_ws, out.near = wp.vec4(*light_ws), views[0].near
-    for layer, view in enumerate(views):
-        rasteriser.draw(geometry.points_ws, geometry.caster_indices, view.to_device(), out.depth[layer], triangle, cull)
-        if triangle is not None:
-            inputs = [triangle, geometry.triangle_mesh, geometry.mesh_flags, layer]
-            launch(tag_moving, triangle.shape, inputs, [out.depth], device=device, threads=rasteriser.threads)
+    device_views = [view.to_device() for view in views]
+    if triangle is None:
+        rasteriser.draw_many(geometry.points_ws, geometry.caster_indices, device_views, out.depth, cull=cull)
+        return out
+    for layer, view in enumerate(device_views):
+        rasteriser.draw(geometry.points_ws, geometry.caster_indices, view, out.depth[layer], triangle, cull)
+        inputs = [triangle, geometry.triangle_mesh, geometry.mesh_flags, layer]
+        launch(tag_moving, triangle.shape, inputs, [out.depth], device=device, threads=rasteriser.threads)
     return out
