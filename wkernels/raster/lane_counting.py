@@ -49,109 +49,6 @@ class CountTarget:
     if_nearer: float
 
 
-@wp.struct
-class TriangleLanes:
-    """64 triangles ready to be tested against pixels, wound so that inside all edge functions are positive."""
-
-    e_a: Floats  # edge functions at (x0, y0) after the top-left rule, over 256 and rounded down
-    e_b: Floats
-    e_c: Floats
-    dx_a: Floats  # what a pixel to the right adds
-    dx_b: Floats
-    dx_c: Floats
-    dy_a: Floats  # and a row down
-    dy_b: Floats
-    dy_c: Floats
-    key_0: Floats  # key = key_0 + by_a e_a + by_b e_b + by_c e_c, between lowest and highest
-    by_a: Floats
-    by_b: Floats
-    by_c: Floats
-    lowest: Floats
-    highest: Floats
-    front: Ints
-    wide: Ints  # 1: too large for this, only the box holds
-    x0: Ints
-    y0: Ints
-    x1: Ints
-    y1: Ints
-
-
-@wp.func
-def set_up_lanes(
-    corners: wp.array(dtype=int),
-    column: wp.array(dtype=int),
-    row: wp.array(dtype=int),
-    key: wp.array(dtype=float),
-    band_list: wp.array(dtype=int),
-    i0: int,
-    list_end: int,
-    top: int,
-    bottom: int,
-    width: int,
-):
-    """Sets up triangles i0 to i0 + 63 of the list; lanes from ``list_end`` on repeat the last."""
-    s = TriangleLanes()
-    for k in range(LANES):
-        t = band_list[wp.min(i0 + k, list_end - 1)]
-        a = corners[3 * t]
-        b = corners[3 * t + 1]
-        c = corners[3 * t + 2]
-        ax = column[a]
-        ay = row[a]
-        b_x = column[b]
-        b_y = row[b]
-        c_x = column[c]
-        c_y = row[c]
-        area = edge_32(ax, ay, b_x, b_y, c_x, c_y)
-        front = wp.where(area < 0, 1, 0)
-        bx = wp.where(front == 1, c_x, b_x)
-        by = wp.where(front == 1, c_y, b_y)
-        cx = wp.where(front == 1, b_x, c_x)
-        cy = wp.where(front == 1, b_y, c_y)
-        key_a = key[a]
-        key_b = wp.where(front == 1, key[c], key[b])
-        key_c = wp.where(front == 1, key[b], key[c])
-        low_x = wp.min(wp.min(ax, bx), cx)
-        high_x = wp.max(wp.max(ax, bx), cx)
-        low_y = wp.min(wp.min(ay, by), cy)
-        high_y = wp.max(wp.max(ay, by), cy)
-        left = wp.max(first_centre(low_x), 0)
-        upper = wp.max(first_centre(low_y), top)
-        x = left * SUBPIXELS + HALF_PIXEL
-        y = upper * SUBPIXELS + HALF_PIXEL
-        f_a = edge_32(bx, by, cx, cy, x, y)
-        f_b = edge_32(cx, cy, ax, ay, x, y)
-        f_c = edge_32(ax, ay, bx, by, x, y)
-        g_a = (f_a + bias_32(bx, by, cx, cy)) >> 8
-        g_b = (f_b + bias_32(cx, cy, ax, ay)) >> 8
-        g_c = (f_c + bias_32(ax, ay, bx, by)) >> 8
-        s.e_a[k] = float(g_a)
-        s.e_b[k] = float(g_b)
-        s.e_c[k] = float(g_c)
-        s.dx_a[k] = float(by - cy)
-        s.dx_b[k] = float(cy - ay)
-        s.dx_c[k] = float(ay - by)
-        s.dy_a[k] = float(cx - bx)
-        s.dy_b[k] = float(ax - cx)
-        s.dy_c[k] = float(bx - ax)
-        over_area = 1.0 / float(wp.max(wp.abs(area), 1))
-        s.key_0[k] = (
-            float(f_a - 256 * g_a) * key_a + float(f_b - 256 * g_b) * key_b + float(f_c - 256 * g_c) * key_c
-        ) * over_area
-        s.by_a[k] = key_a * (over_area * float(SUBPIXELS))
-        s.by_b[k] = key_b * (over_area * float(SUBPIXELS))
-        s.by_c[k] = key_c * (over_area * float(SUBPIXELS))
-        s.lowest[k] = wp.min(wp.min(key_a, key_b), key_c)
-        s.highest[k] = wp.max(wp.max(key_a, key_b), key_c)
-        s.front[k] = front
-        s.wide[k] = wp.where(wp.max(high_x - low_x, high_y - low_y) > SMALL, 1, 0)
-        s.x0[k] = left
-        s.y0[k] = upper
-        s.x1[k] = wp.min(last_centre(high_x), width - 1)
-        s.y1[k] = wp.min(last_centre(high_y), bottom)
-    return s
-
-
 @wp.func
 def count_piece(target: CountTarget, at: int, covered: Piece, key: Piece, weight: float):
     """Adds a weight where a piece is covered (1, else 0) and passes the depth test."""
@@ -277,32 +174,110 @@ def count_band(
                 target.seen_piece[y * pitch + x] = seen
             for x in range(width - width % PIECE, width):
                 target.seen[y * pitch + x] = wp.where(perspective == 1, -1.0 / depth[y, x], depth[y, x])
+    e_a = Floats(0.0)
+    e_b = Floats(0.0)
+    e_c = Floats(0.0)
+    dx_a = Floats(0.0)
+    dx_b = Floats(0.0)
+    dx_c = Floats(0.0)
+    dy_a = Floats(0.0)
+    dy_b = Floats(0.0)
+    dy_c = Floats(0.0)
+    key_0 = Floats(0.0)
+    by_a = Floats(0.0)
+    by_b = Floats(0.0)
+    by_c = Floats(0.0)
+    lowest = Floats(0.0)
+    highest = Floats(0.0)
+    front = Ints(0)
+    wide = Ints(0)
+    x0 = Ints(0)
+    y0 = Ints(0)
+    x1 = Ints(0)
+    y1 = Ints(0)
     list_end = band_begin[band + 1]
     for i0 in range(band_begin[band], list_end, LANES):
-        s = set_up_lanes(corners, column, row, key, band_list, i0, list_end, top, bottom, width)
+        for k in range(LANES):
+            t = band_list[wp.min(i0 + k, list_end - 1)]
+            a = corners[3 * t]
+            b = corners[3 * t + 1]
+            c = corners[3 * t + 2]
+            ax = column[a]
+            ay = row[a]
+            b_x = column[b]
+            b_y = row[b]
+            c_x = column[c]
+            c_y = row[c]
+            area = edge_32(ax, ay, b_x, b_y, c_x, c_y)
+            swap = wp.where(area < 0, 1, 0)
+            bx = wp.where(swap == 1, c_x, b_x)
+            by = wp.where(swap == 1, c_y, b_y)
+            cx = wp.where(swap == 1, b_x, c_x)
+            cy = wp.where(swap == 1, b_y, c_y)
+            key_a = key[a]
+            key_b = wp.where(swap == 1, key[c], key[b])
+            key_c = wp.where(swap == 1, key[b], key[c])
+            low_x = wp.min(wp.min(ax, bx), cx)
+            high_x = wp.max(wp.max(ax, bx), cx)
+            low_y = wp.min(wp.min(ay, by), cy)
+            high_y = wp.max(wp.max(ay, by), cy)
+            left = wp.max(first_centre(low_x), 0)
+            upper = wp.max(first_centre(low_y), top)
+            x = left * SUBPIXELS + HALF_PIXEL
+            y = upper * SUBPIXELS + HALF_PIXEL
+            f_a = edge_32(bx, by, cx, cy, x, y)
+            f_b = edge_32(cx, cy, ax, ay, x, y)
+            f_c = edge_32(ax, ay, bx, by, x, y)
+            g_a = (f_a + bias_32(bx, by, cx, cy)) >> 8
+            g_b = (f_b + bias_32(cx, cy, ax, ay)) >> 8
+            g_c = (f_c + bias_32(ax, ay, bx, by)) >> 8
+            e_a[k] = float(g_a)
+            e_b[k] = float(g_b)
+            e_c[k] = float(g_c)
+            dx_a[k] = float(by - cy)
+            dx_b[k] = float(cy - ay)
+            dx_c[k] = float(ay - by)
+            dy_a[k] = float(cx - bx)
+            dy_b[k] = float(ax - cx)
+            dy_c[k] = float(bx - ax)
+            over_area = 1.0 / float(wp.max(wp.abs(area), 1))
+            key_0[k] = (
+                float(f_a - 256 * g_a) * key_a + float(f_b - 256 * g_b) * key_b + float(f_c - 256 * g_c) * key_c
+            ) * over_area
+            by_a[k] = key_a * (over_area * float(SUBPIXELS))
+            by_b[k] = key_b * (over_area * float(SUBPIXELS))
+            by_c[k] = key_c * (over_area * float(SUBPIXELS))
+            lowest[k] = wp.min(wp.min(key_a, key_b), key_c)
+            highest[k] = wp.max(wp.max(key_a, key_b), key_c)
+            front[k] = swap
+            wide[k] = wp.where(wp.max(high_x - low_x, high_y - low_y) > SMALL, 1, 0)
+            x0[k] = left
+            y0[k] = upper
+            x1[k] = wp.min(last_centre(high_x), width - 1)
+            y1[k] = wp.min(last_centre(high_y), bottom)
         for k in range(wp.min(LANES, list_end - i0)):
-            if s.wide[k] != 0:
-                box = wp.vec4i(s.x0[k], s.y0[k], s.x1[k], s.y1[k])
+            if wide[k] != 0:
+                box = wp.vec4i(x0[k], y0[k], x1[k], y1[k])
                 t = band_list[i0 + k]
                 count_wide(target, corners, column, row, key, t, box, front_weight, back_weight, steps)
             else:
-                weight = wp.where(s.front[k] == 1, front_weight, back_weight)
-                low_piece = Piece(s.lowest[k])
-                high_piece = Piece(s.highest[k])
-                rest = Piece(s.key_0[k])
-                down_a = Piece(s.dy_a[k])
-                down_b = Piece(s.dy_b[k])
-                down_c = Piece(s.dy_c[k])
-                for column_0 in range(s.x0[k], s.x1[k] + 1, PIECE):
-                    right = float(column_0 - s.x0[k])
-                    in_a = steps * s.dx_a[k] + Piece(s.e_a[k] + right * s.dx_a[k])
-                    in_b = steps * s.dx_b[k] + Piece(s.e_b[k] + right * s.dx_b[k])
-                    in_c = steps * s.dx_c[k] + Piece(s.e_c[k] + right * s.dx_c[k])
-                    at = s.y0[k] * pitch + column_0
-                    for _y in range(s.y0[k], s.y1[k] + 1):
+                weight = wp.where(front[k] == 1, front_weight, back_weight)
+                low_piece = Piece(lowest[k])
+                high_piece = Piece(highest[k])
+                rest = Piece(key_0[k])
+                down_a = Piece(dy_a[k])
+                down_b = Piece(dy_b[k])
+                down_c = Piece(dy_c[k])
+                for column_0 in range(x0[k], x1[k] + 1, PIECE):
+                    right = float(column_0 - x0[k])
+                    in_a = steps * dx_a[k] + Piece(e_a[k] + right * dx_a[k])
+                    in_b = steps * dx_b[k] + Piece(e_b[k] + right * dx_b[k])
+                    in_c = steps * dx_c[k] + Piece(e_c[k] + right * dx_c[k])
+                    at = y0[k] * pitch + column_0
+                    for _y in range(y0[k], y1[k] + 1):
                         # whole numbers: at least 0 inside, at most -1 outside
                         covered = wp.min(wp.max(wp.min(wp.min(in_a, in_b), in_c) + one, zero), one)
-                        near = in_a * s.by_a[k] + in_b * s.by_b[k] + in_c * s.by_c[k] + rest
+                        near = in_a * by_a[k] + in_b * by_b[k] + in_c * by_c[k] + rest
                         near = wp.min(wp.max(near, low_piece), high_piece)
                         count_piece(target, at, covered, near, weight)
                         in_a += down_a
