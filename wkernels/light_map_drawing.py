@@ -92,10 +92,13 @@ def draw_light_map(
     out.right_ws, out.up_ws = axes("right_ws"), axes("up_ws")
     out.layers, out.resolution = layers, resolution
     out.light_ws, out.near = wp.vec4(*light_ws), views[0].near
-    for layer, view in enumerate(views):
-        rasteriser.draw(geometry.points_ws, geometry.caster_indices, view.to_device(), out.depth[layer], triangle, cull)
-        if triangle is not None:
-            _tag_moving(out.depth, layer, geometry, triangle, rasteriser)
+    device_views = [view.to_device() for view in views]
+    if triangle is None:
+        rasteriser.draw_many(geometry.points_ws, geometry.caster_indices, device_views, out.depth, cull=cull)
+        return out
+    for layer, view in enumerate(device_views):
+        rasteriser.draw(geometry.points_ws, geometry.caster_indices, view, out.depth[layer], triangle, cull)
+        _tag_moving(out.depth, layer, geometry, triangle, rasteriser)
     return out
 
 

@@ -9,18 +9,23 @@ threads.
 - ``lanes``: the CPU's path, bands of rows with the inner loops written so that LLVM turns them into SIMD;
 - ``tiles``: the plain CPU path, the others' twin, for targets narrower than 8 pixels and matrices that no light has;
 - ``stripes``: CUDA;
+- ``counting``, ``lane_counting``: how often pixels are covered, on the same three;
 - ``triangles``: projection, clipping, coverage and depth functions that they share.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 import warp as wp
 
+from wkernels.errors import InputError
 from wkernels.launch import wake_workers
-from wkernels.raster.lane_bands import PIECE
+from wkernels.raster.counting import COUNT_ALL, COUNT_FARTHER, COUNT_NEARER, Counted, count_plainly
+from wkernels.raster.lane_bands import PIECE, DepthKey
+from wkernels.raster.lane_counting import LaneCounter
 from wkernels.raster.lanes import MAX_TRIANGLES, LaneRasteriser, depth_key
 from wkernels.raster.scratch import Scratch
 from wkernels.raster.stripes import draw_stripes
@@ -39,7 +44,16 @@ from wkernels.raster.triangles import (
 )
 from wkernels.views import View
 
-__all__ = ["CULL_BACK", "CULL_FRONT", "CULL_NONE", "Rasteriser", "to_homogeneous_pixels"]
+__all__ = [
+    "COUNT_ALL",
+    "COUNT_FARTHER",
+    "COUNT_NEARER",
+    "CULL_BACK",
+    "CULL_FRONT",
+    "CULL_NONE",
+    "Rasteriser",
+    "to_homogeneous_pixels",
+]
 
 
 class Rasteriser:
@@ -57,6 +71,7 @@ class Rasteriser:
         self.device, self.threads, self.path = device, threads, path
         self._scratch = Scratch(device, threads)
         self._lanes = LaneRasteriser(self._scratch)
+        self._counter = LaneCounter(self._scratch)
 
     def draw(
         self,
@@ -78,19 +93,89 @@ class Rasteriser:
             cull: CULL_NONE, CULL_BACK or CULL_FRONT, as seen from the view (counter-clockwise is front).
         """
         wake_workers(self.device, self.threads)
-        on_cpu = wp.get_device(self.device).is_cpu
-        count = len(indices) // 3
-        if on_cpu and self.path == "lanes" and count < MAX_TRIANGLES and view.width >= PIECE:
-            whole = depth_out.is_contiguous and (triangle_out is None or triangle_out.is_contiguous)
-            if whole and (key := depth_key(view)) is not None:
-                self._lanes.draw(points_ws, indices, view, key, depth_out, triangle_out, cull)
-                return
+        whole = triangle_out is None or triangle_out.is_contiguous
+        if whole and (key := self._lane_key(indices, view, depth_out)) is not None:
+            self._lanes.draw(points_ws, indices, view, key, depth_out, triangle_out, cull)
+            return
         triangles, total = self._project(points_ws, indices, view, cull)
         with_triangles = int(triangle_out is not None)
         if triangle_out is None:
             triangle_out = self._scratch.array("no triangles", (1, 1), int)
-        draw = draw_tiles if on_cpu else draw_stripes
+        draw = draw_tiles if wp.get_device(self.device).is_cpu else draw_stripes
         draw(self._scratch, triangles, total, with_triangles, depth_out, triangle_out)
+
+    def draw_many(
+        self,
+        points_ws: wp.array,
+        indices: wp.array,
+        views: Sequence[View],
+        depth_out: wp.array,
+        triangle_out: wp.array | None = None,
+        cull: int = CULL_NONE,
+    ) -> None:
+        """Draws the same triangles into many views, the same bits as ``draw`` into each.
+
+        Args:
+            points_ws: vec3, shape (V,).
+            indices: int32, shape (3 T,).
+            views: One per layer, all of the same size.
+            depth_out: float32 (layers, H, W), as for ``draw``.
+            triangle_out: int32 (layers, H, W), or None.
+            cull: CULL_NONE, CULL_BACK or CULL_FRONT, as seen from each view.
+        """
+        for layer, view in enumerate(views):
+            owner = None if triangle_out is None else triangle_out[layer]
+            self.draw(points_ws, indices, view, depth_out[layer], owner, cull)
+
+    def count(
+        self,
+        points_ws: wp.array,
+        indices: wp.array,
+        view: View,
+        depth: wp.array | None,
+        count_out: wp.array,
+        test: int = COUNT_NEARER,
+        front: int = 1,
+        back: int = -1,
+    ) -> None:
+        """Counts the faces that cover each pixel before or behind what is seen there (Crow 1977, Heidmann 1991).
+
+        Coverage is that of ``draw``. Triangles are clipped at the near plane, so that COUNT_NEARER says nothing true of
+        volumes that hold the eye or are cut there; COUNT_FARTHER does, for closed volumes. Nothing is clipped at the
+        far plane: a volume that should reach to infinity is extruded by 1e4 times the scene's size.
+
+        Args:
+            points_ws: vec3, shape (V,).
+            indices: int32, shape (3 T,).
+            view: Target size and projection; 1 to 8192 pixels per side.
+            depth: float32 (H, W): linear depth of what is seen, +inf where that is nothing; None for COUNT_ALL.
+            count_out: int32 (H, W): the sum of what all counted faces add; within 2^24 at any time.
+            test: COUNT_NEARER (the face's depth < ``depth``), COUNT_FARTHER (all others), COUNT_ALL.
+            front: What a face that is counter-clockwise seen from the view adds.
+            back: What any other adds. (1, -1) counts volumes entered and not left; (1, 0) and (0, 1) either kind alone.
+
+        Raises:
+            InputError: No depth to test against.
+        """
+        if depth is None:
+            if test != COUNT_ALL:
+                raise InputError("rasteriser: a depth test needs the depth that is seen; COUNT_ALL takes none")
+            depth = self._scratch.array("no depth", (1, 8), float)
+        counted = Counted()
+        counted.depth, counted.test, counted.front, counted.back = depth, test, front, back
+        cull = CULL_FRONT if front == 0 else CULL_BACK if back == 0 else CULL_NONE
+        key = self._lane_key(indices, view, count_out)
+        if key is not None and not key.warped and depth.is_contiguous:
+            self._counter.count(points_ws, indices, view, key, counted, count_out, cull)
+            return
+        triangles, total = self._project(points_ws, indices, view, cull)
+        count_plainly(self._scratch, triangles, total, counted, count_out)
+
+    def _lane_key(self, indices: wp.array, view: View, out: wp.array) -> DepthKey | None:
+        """``depth_key(view)`` where lanes are used, else None."""
+        fits = len(indices) // 3 < MAX_TRIANGLES and view.width >= PIECE and out.is_contiguous
+        lanes = self.path == "lanes" and wp.get_device(self.device).is_cpu and fits
+        return depth_key(view) if lanes else None
 
     def _project(self, points_ws: wp.array, indices: wp.array, view: View, cull: int) -> tuple[ScreenTriangles, int]:
         scratch, count = self._scratch, len(indices) // 3

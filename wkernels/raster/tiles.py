@@ -145,15 +145,12 @@ def draw_tile(
             row_c += dy_c
 
 
-def draw_tiles(
-    scratch: Scratch,
-    triangles: ScreenTriangles,
-    total: int,
-    with_triangles: int,
-    depth_out: wp.array,
-    triangle_out: wp.array,
-) -> None:
-    """Clears the targets and draws ``total`` projected triangles on the CPU."""
+def list_triangles(scratch: Scratch, triangles: ScreenTriangles, total: int) -> tuple[int, int, wp.array, wp.array]:
+    """Which tiles ``total`` projected triangles touch, on the CPU.
+
+    Returns:
+        Tiles, tiles per row, each tile's begin in the list (tiles + 1,), and the list, in triangle order.
+    """
     tiles_x, tiles_y = -(-triangles.width // TILE), -(-triangles.height // TILE)
     tiles = tiles_x * tiles_y
     box = scratch.array("box", (total,), wp.vec4ub)
@@ -165,4 +162,17 @@ def draw_tiles(
     counts.numpy().ravel()[:] = starts[:-1]
     listed = scratch.array("tile list", (int(starts[-1]),), int)
     scratch.launch(list_tiles, CHUNKS, [box, total, CHUNKS, tiles_x, counts], [listed], tile=1)
+    return tiles, tiles_x, begin, listed
+
+
+def draw_tiles(
+    scratch: Scratch,
+    triangles: ScreenTriangles,
+    total: int,
+    with_triangles: int,
+    depth_out: wp.array,
+    triangle_out: wp.array,
+) -> None:
+    """Clears the targets and draws ``total`` projected triangles on the CPU."""
+    tiles, tiles_x, begin, listed = list_triangles(scratch, triangles, total)
     scratch.launch(draw_tile, tiles, [triangles, tiles_x, begin, listed, with_triangles], [depth_out, triangle_out])

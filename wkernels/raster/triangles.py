@@ -188,6 +188,7 @@ class Setup:
     cx: wp.int64
     cy: wp.int64
     over_area: float
+    front: int  # 1 where the triangle faces the view, before it was wound
     x0: int  # pixels whose centres the bounding box holds, clamped to the screen; x1 < x0 where there are none
     y0: int
     x1: int
@@ -257,6 +258,7 @@ def set_up(triangles: ScreenTriangles, t: int):
         s.cx = other_x
         s.cy = other_y
         area = -area
+    s.front = wp.where(front, 1, 0)
     s.over_area = 1.0 / float(area)
     s.x0 = x0
     s.x1 = x1
