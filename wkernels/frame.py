@@ -22,13 +22,13 @@ from wkernels.geometry import Bounds, Geometry
 from wkernels.launch import launch, wake_workers
 from wkernels.light_map import LightMap
 from wkernels.light_map_drawing import draw_light_map
+from wkernels.light_samples import LightSamples
 from wkernels.light_views import scene_views
 from wkernels.lights import Light
 from wkernels.raster import CULL_NONE, Rasteriser
 from wkernels.rays import LightHull
 from wkernels.sampling import light_set
 from wkernels.shading import shade
-from wkernels.shaft_rays import SampleBatches, sample_batches
 from wkernels.timing import PassTimer
 from wkernels.views import HostView, View, eye_view
 
@@ -43,31 +43,6 @@ class Renders(Protocol):
 
     def render(self, frame: Session) -> wp.array:
         """Visibility, float32, of the frame's size or of an overscanned G-buffer's."""
-
-
-@dataclass
-class LightSamples:
-    """Points of one light, as the host and the device see them.
-
-    Attributes:
-        host: float64 (n, 4), homogeneous, rebased world.
-        points_ws: vec4 (n,), the same.
-        weights: float (n,), relative radiance, mean about 1.
-        weights_host: float64 (n,), the same.
-    """
-
-    host: np.ndarray
-    points_ws: wp.array
-    weights: wp.array
-    weights_host: np.ndarray
-    _batches: SampleBatches | None = None
-
-    @property
-    def batches(self) -> SampleBatches:
-        """The same for ``shaft_rays``."""
-        if self._batches is None:
-            self._batches = sample_batches(self.host, self.weights_host, str(self.points_ws.device))
-        return self._batches
 
 
 @dataclass
