@@ -128,7 +128,7 @@ def find_row_minima(first: int, depth: wp.array3d(dtype=float), minima_out: wp.a
 def find_row_minima_lanes(
     first: int, depth: wp.array(dtype=Floats), resolution: int, minima_out: wp.array2d(dtype=float)
 ):
-    """``find_row_minima`` of maps at least 64 texels wide."""
+    """``find_row_minima`` of maps at least a run wide."""
     row, layer = wp.tid()
     y = first + row
     least = Floats(float(wp.inf))

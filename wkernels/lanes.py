@@ -1,4 +1,4 @@
-"""The vocabulary of lane kernels: CPU kernels that handle a run of 64 neighbouring pixels in one grid cell.
+"""The vocabulary of lane kernels: CPU kernels that handle a run of 16 neighbouring pixels in one grid cell.
 
 ``docs/lanes.md`` is the page to read first.
 """
@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import warp as wp
 
-LANES = wp.constant(64)
+LANES = wp.constant(16)  # what a run knows stays in registers; with 64 it is spilt, and pcss takes 1.5 times as long
 Floats = wp.types.vector(length=LANES, dtype=wp.float32)
 Ints = wp.types.vector(length=LANES, dtype=wp.int32)
-Pairs = wp.types.vector(length=2 * LANES, dtype=wp.float32)  # of 64 vec2
-Vectors = wp.types.vector(length=3 * LANES, dtype=wp.float32)  # x, y, z of 64 points, one after the other
+Pairs = wp.types.vector(length=2 * LANES, dtype=wp.float32)  # of a run of vec2
+Vectors = wp.types.vector(length=3 * LANES, dtype=wp.float32)  # x, y, z of a run of points, one after the other
 
 
 def runs_per_row(width: int) -> int:
@@ -30,7 +30,7 @@ def flat_floats(values: wp.array) -> wp.array:
 
 
 def runs_of(values: wp.array, dtype: type, padding: int = 0) -> wp.array:
-    """Overlapping runs of an array: entry i is the 64 elements from the i-th component on, loaded at once.
+    """Overlapping runs of an array: entry i is the 16 elements from the i-th component on, loaded at once.
 
     An index within a lane loop, ``values[begin + k]``, is a gather, even where the elements lie side by side; a whole
     run costs a quarter of that. A view, which must not outlive the array.
@@ -39,7 +39,7 @@ def runs_of(values: wp.array, dtype: type, padding: int = 0) -> wp.array:
         values: Contiguous, on the CPU, components of 4 bytes.
         dtype: ``Floats``, ``Ints``, ``Pairs`` for an array of vec2, or ``Vectors`` for one of vec3, whose entries begin
             at every second or third component.
-        padding: Components of memory behind the last one that may be read. A run that begins less than 64 elements
+        padding: Components of memory behind the last one that may be read. A run that begins less than 16 elements
             before the end needs them.
     """
     run = {Pairs: 2 * LANES, Vectors: 3 * LANES}.get(dtype, LANES)

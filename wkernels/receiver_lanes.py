@@ -1,4 +1,4 @@
-"""Receivers of a run of pixels in a light map: ``light_map.locate_receiver``, 64 at a time.
+"""Receivers of a run of pixels in a light map: ``light_map.locate_receiver``, 16 at a time.
 
 ``docs/lanes.md`` says how such code is written. Lanes beyond the end of a row hold pixels of the next one, or
 nothing of use at the image's end; they are not written.

@@ -30,7 +30,7 @@ LIGHTS: dict[str, Light] = {
     "orthographic": small.light("directional"),
     "six faces": SphereLight(center=np.array([0.2, 3.2, 1.5]), radius=0.2),
 }
-WIDTHS = (1, 63, 64, 100, 130)
+WIDTHS = (1, 15, 16, 17, 63, 100)
 
 
 @pytest.fixture

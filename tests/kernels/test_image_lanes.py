@@ -31,7 +31,7 @@ def moving_scene(light: object) -> Scene:
     return small.scene([small.mesh("ground", small.plane(14.0)), boxes], light)
 
 
-@pytest.mark.parametrize("width", [1, 63, 64, 65, 130])
+@pytest.mark.parametrize("width", [1, 15, 16, 17, 63, 130])
 @pytest.mark.parametrize("kind", ["directional", "point"])
 def test_shading(width: int, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def make() -> np.ndarray:
