@@ -23,9 +23,12 @@ import warp as wp
 from wkernels.geometry import Geometry
 from wkernels.irregular.casters import bound_triangles, count_bands, list_bands
 from wkernels.irregular.grid import LightFace, fit_grid, light_faces
+from wkernels.irregular.lanes import LANES, PIECE, Ints, Piece, SampleRuns, test_band
 from wkernels.irregular.occlusion import test_pixels
 from wkernels.irregular.samples import PAD, count_rows, list_rows, place_pixels, sort_rows
+from wkernels.launch import launch
 from wkernels.light_views import scene_views
+from wkernels.receiver_lanes import uses_lanes
 
 if TYPE_CHECKING:
     from wkernels.frame import Session
@@ -73,13 +76,64 @@ def find_hidden(frame: Session, gbuffer: GBuffer, resolution: int, visibility_ou
         rows = len(faces) * resolution
         counts = frame.buffer("sample counts", (rows, CHUNKS), wp.int32)
         frame.launch(count_rows, CHUNKS, [on_device, place, row_of_pixel, CHUNKS], [row_of_pixel, counts])
+        samples = _sort(frame, on_device, place, row_of_pixel, counts) if uses_lanes(frame.device) else None
     for k in used:
         face = faces[k]
         with frame.timed("bound casters"):
             box_rows, box_columns, begin, listed, shift = _list_casters(frame, geometry, face)
         with frame.timed("test casters"):
-            inputs = [geometry.points_ws, geometry.caster_indices, face, box_rows, box_columns, begin, listed, shift]
-            frame.launch(test_pixels, (height, width), [*inputs, place, row_of_pixel], [visibility_out])
+            if samples is not None:
+                bands = len(begin) - 1
+                runs = wp.array(
+                    ptr=listed.ptr, dtype=Ints, shape=len(listed) - int(LANES) + 1, strides=(4,), device="cpu"
+                )
+                inputs = [_flat(geometry.points_ws), geometry.caster_indices, face, box_rows, box_columns, begin, runs]
+                outputs = [visibility_out.flatten()]
+                launch(
+                    test_band,
+                    bands,
+                    [*inputs, shift, samples],
+                    outputs,
+                    device=frame.device,
+                    threads=frame.threads,
+                    tile=1,
+                )
+            else:
+                inputs = [geometry.points_ws, geometry.caster_indices, face, box_rows, box_columns, begin, listed]
+                outputs = [visibility_out]
+                frame.launch(test_pixels, (height, width), [*inputs, shift, place, row_of_pixel], outputs)
+
+
+def _sort(
+    frame: Session, faces: wp.array, place: wp.array, row_of_pixel: wp.array, counts: wp.array
+) -> SampleRuns:
+    """Samples in the order of their cells, each row with its padding."""
+    rows, pixels = counts.shape[0], place.size
+    held = counts.numpy()
+    begins = np.zeros(rows + 1, dtype=np.int64)
+    begins[1:] = np.cumsum(held.sum(axis=1) + int(PAD))
+    held[:] = begins[:-1, None] + np.cumsum(held, axis=1) - held
+    room = pixels + rows * int(PAD)
+    resolution = rows // len(faces)
+    out = SampleRuns()
+    out.row_begin = frame.buffer("sample row begin", (rows + 1,), wp.int32)
+    out.row_begin.numpy()[:] = begins
+    listed = frame.buffer("samples by row", (room,), wp.int32)
+    frame.launch(list_rows, CHUNKS, [row_of_pixel, CHUNKS, counts], [listed])
+    cells = frame.buffer("sample cell begin", (rows, resolution + 1), wp.int32)
+    out.pixel = frame.buffer("sample pixels", (room,), wp.int32)
+    u, v, out.height = (frame.buffer(f"sample {name}", (room,), wp.float32) for name in "uvh")
+    frame.launch(sort_rows, rows, [faces, place.flatten(), out.row_begin, listed], [cells, out.pixel, u, v, out.height])
+    out.u, out.v, out.h = (
+        wp.array(ptr=a.ptr, dtype=Piece, shape=room - int(PIECE) + 1, strides=(4,), device="cpu")
+        for a in (u, v, out.height)
+    )
+    out.cell_begin = cells.flatten()
+    return out
+
+
+def _flat(points: wp.array) -> wp.array:
+    return wp.array(ptr=points.ptr, dtype=float, shape=3 * len(points), device="cpu")
 
 
 def _list_casters(
@@ -97,7 +151,7 @@ def _list_casters(
     counts.assign(starts[:-1].reshape(bands, CHUNKS).astype(np.int32))
     begin = frame.buffer("band begin", (bands + 1,), wp.int32)
     begin.assign(starts[::CHUNKS].astype(np.int32))
-    listed = frame.buffer("band list", (_room(int(starts[-1])),), wp.int32)
+    listed = frame.buffer("band list", (_room(int(starts[-1]) + int(LANES)),), wp.int32)
     frame.launch(list_bands, CHUNKS, [rows, count, shift, CHUNKS, counts], [listed])
     return rows, columns, begin, listed, shift
 
