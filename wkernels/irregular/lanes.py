@@ -15,8 +15,9 @@ from wkernels.irregular.samples import HIDDEN, PAD
 LANES = wp.constant(64)  # triangles set up in one step
 PIECE = wp.constant(16)  # samples tested in one step; what is behind a row's end is padding
 HUGE = wp.constant(1.0e38)
-NO_BOUND = wp.constant(1.0e9)  # columns
-LEEWAY = wp.constant(0.02)  # columns that a row's span is widened by
+FLAT = wp.constant(1.0e-6)  # columns per row, inverse: an edge that runs along its row bounds none of its columns
+NO_BOUND = wp.constant(1.0e12)  # columns; more than a row's bound can move over all rows
+LEEWAY = wp.constant(0.01)  # columns that a row's span is widened by, beside the face's margin
 CANCELLED = wp.constant(1.0e-6)  # relative: what adding up in float32 may cost a span
 
 Ints = wp.types.vector(length=LANES, dtype=wp.int32)
@@ -74,6 +75,7 @@ def test_band(
     per_u = face.columns_per_u
     per_v = face.rows_per_v
     row_height = 1.0 / per_v
+    margin = float(face.margin) / 256.0
     a_u = Floats(0.0)
     a_v = Floats(0.0)
     a_1 = Floats(0.0)
@@ -200,27 +202,33 @@ def test_band(
         for k in range(LANES):
             # where each edge crosses the rows, in columns from the box's first: a + step * (row - first row)
             height = float((box_rows[k] >> 16) - (box_rows[k] & 65535) + 1) * row_height
-            over_a = per_u / wp.where(a_u[k] == 0.0, 1.0, a_u[k])
-            over_b = per_u / wp.where(b_u[k] == 0.0, 1.0, b_u[k])
-            over_c = per_u / wp.where(c_u[k] == 0.0, 1.0, c_u[k])
-            slack_a = LEEWAY + CANCELLED * (wp.abs(a_1[k]) + height * wp.abs(a_v[k])) * wp.abs(over_a)
-            slack_b = LEEWAY + CANCELLED * (wp.abs(b_1[k]) + height * wp.abs(b_v[k])) * wp.abs(over_b)
-            slack_c = LEEWAY + CANCELLED * (wp.abs(c_1[k]) + height * wp.abs(c_v[k])) * wp.abs(over_c)
+            leans_a = wp.where(wp.abs(a_u[k]) > FLAT * wp.abs(a_v[k]) * row_height * per_u, a_u[k], 0.0)
+            over_a = per_u / wp.where(leans_a == 0.0, 1.0, leans_a)
+            leans_b = wp.where(wp.abs(b_u[k]) > FLAT * wp.abs(b_v[k]) * row_height * per_u, b_u[k], 0.0)
+            over_b = per_u / wp.where(leans_b == 0.0, 1.0, leans_b)
+            leans_c = wp.where(wp.abs(c_u[k]) > FLAT * wp.abs(c_v[k]) * row_height * per_u, c_u[k], 0.0)
+            over_c = per_u / wp.where(leans_c == 0.0, 1.0, leans_c)
             at_a = -a_1[k] * over_a
             at_b = -b_1[k] * over_b
             at_c = -c_1[k] * over_c
-            down_a = wp.where(a_u[k] == 0.0, 0.0, -a_v[k] * over_a * row_height)
-            down_b = wp.where(b_u[k] == 0.0, 0.0, -b_v[k] * over_b * row_height)
-            down_c = wp.where(c_u[k] == 0.0, 0.0, -c_v[k] * over_c * row_height)
+            down_a = wp.where(leans_a == 0.0, 0.0, -a_v[k] * over_a * row_height)
+            down_b = wp.where(leans_b == 0.0, 0.0, -b_v[k] * over_b * row_height)
+            down_c = wp.where(leans_c == 0.0, 0.0, -c_v[k] * over_c * row_height)
+            slack_a = LEEWAY + margin + margin * wp.abs(down_a)
+            slack_a += CANCELLED * (wp.abs(a_1[k]) + height * wp.abs(a_v[k])) * wp.abs(over_a)
             step_a[k] = down_a
+            slack_b = LEEWAY + margin + margin * wp.abs(down_b)
+            slack_b += CANCELLED * (wp.abs(b_1[k]) + height * wp.abs(b_v[k])) * wp.abs(over_b)
             step_b[k] = down_b
+            slack_c = LEEWAY + margin + margin * wp.abs(down_c)
+            slack_c += CANCELLED * (wp.abs(c_1[k]) + height * wp.abs(c_v[k])) * wp.abs(over_c)
             step_c[k] = down_c
-            least_a[k] = wp.where(a_u[k] > 0.0, at_a + wp.min(down_a, 0.0) - slack_a, -NO_BOUND)
-            least_b[k] = wp.where(b_u[k] > 0.0, at_b + wp.min(down_b, 0.0) - slack_b, -NO_BOUND)
-            least_c[k] = wp.where(c_u[k] > 0.0, at_c + wp.min(down_c, 0.0) - slack_c, -NO_BOUND)
-            most_a[k] = wp.where(a_u[k] < 0.0, at_a + wp.max(down_a, 0.0) + slack_a, NO_BOUND)
-            most_b[k] = wp.where(b_u[k] < 0.0, at_b + wp.max(down_b, 0.0) + slack_b, NO_BOUND)
-            most_c[k] = wp.where(c_u[k] < 0.0, at_c + wp.max(down_c, 0.0) + slack_c, NO_BOUND)
+            least_a[k] = wp.where(leans_a > 0.0, at_a + wp.min(down_a, 0.0) - slack_a, -NO_BOUND)
+            least_b[k] = wp.where(leans_b > 0.0, at_b + wp.min(down_b, 0.0) - slack_b, -NO_BOUND)
+            least_c[k] = wp.where(leans_c > 0.0, at_c + wp.min(down_c, 0.0) - slack_c, -NO_BOUND)
+            most_a[k] = wp.where(leans_a < 0.0, at_a + wp.max(down_a, 0.0) + slack_a, NO_BOUND)
+            most_b[k] = wp.where(leans_b < 0.0, at_b + wp.max(down_b, 0.0) + slack_b, NO_BOUND)
+            most_c[k] = wp.where(leans_c < 0.0, at_c + wp.max(down_c, 0.0) + slack_c, NO_BOUND)
         for k in range(wp.min(LANES, list_end - i0)):
             x0 = box_columns[k] & 65535
             x1 = box_columns[k] >> 16
