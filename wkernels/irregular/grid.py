@@ -34,7 +34,6 @@ class LightFace:
     first_row: int  # the face's first row, of all faces' rows
     across_error: wp.float64  # what rounding may have moved a receiver's u and v by
     highest: wp.float64  # largest |h| of a receiver
-    lowest: float  # least h of a receiver: what lies below hides nothing
     margin: int  # cells / 256 that boxes are widened by, so that they hold every receiver that the triangle may hide
 
 
@@ -98,7 +97,6 @@ def fit_grid(face: LightFace, bounds: np.ndarray) -> None:
     face.columns_per_u, face.rows_per_v = face.resolution / size[0], face.resolution / size[1]
     error = float(ROUNDING) * furthest
     face.across_error, face.highest = error, max(abs(low[2]), abs(high[2]))
-    face.lowest = float(low[2])
     # an eighth of a per cent of a cell and more for the receivers' own columns and rows, which are found in float32
     steps = 256.0 * (2.0 * error * max(face.columns_per_u, face.rows_per_v) + 4e-7 * face.resolution)
     face.margin = 2 + int(np.ceil(min(steps, 256.0 * face.resolution)))

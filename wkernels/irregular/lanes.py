@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import warp as wp
 
+from wkernels.irregular.casters import NO_ROWS
 from wkernels.irregular.grid import ROUNDING, TINY, LightFace
-from wkernels.irregular.occlusion import SMALL_SHARE
+from wkernels.irregular.occlusion import LARGEST, SMALL_SHARE
 from wkernels.irregular.samples import HIDDEN, PAD
 
 LANES = wp.constant(64)  # triangles set up in one step
@@ -168,11 +169,11 @@ def test_band(
                 wp.max(wp.max(wp.abs(pu), wp.abs(pv)), wp.max(area, SMALL_SHARE * wp.abs(rest))), TINY
             )
             rest = rest - (wp.abs(pu) + wp.abs(pv)) * error - area * top_h * ROUNDING
-            usable = area > zero
-            p_u[k] = wp.where(usable, float(pu * scale), 0.0)
-            p_v[k] = wp.where(usable, float(pv * scale), 0.0)
-            p_h[k] = wp.where(usable, float(-area * scale), 0.0)
-            p_1[k] = wp.where(usable, float(rest * scale), -1.0)
+            usable = wp.where(area > zero, area < LARGEST, False)
+            p_u[k] = float(pu * scale)
+            p_v[k] = float(pv * scale)
+            p_h[k] = float(-area * scale)
+            p_1[k] = float(rest * scale)
 
             rest_a = (fau * anchor_u + fav * anchor_v + faw) * turn
             rest_b = (fbu * anchor_u + fbv * anchor_v + fbw) * turn
@@ -198,7 +199,7 @@ def test_band(
             begin_u[k] = u0
             begin_v[k] = v0
             box_columns[k] = column
-            box_rows[k] = row
+            box_rows[k] = wp.where(usable, row, NO_ROWS)
         for k in range(LANES):
             # where each edge crosses the rows, in columns from the box's first: a + step * (row - first row)
             height = float((box_rows[k] >> 16) - (box_rows[k] & 65535) + 1) * row_height

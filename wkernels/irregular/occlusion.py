@@ -16,6 +16,7 @@ from wkernels.irregular.grid import ROUNDING, TINY, LightFace, to_face
 from wkernels.irregular.samples import NO_ROW
 
 SMALL_SHARE = wp.constant(wp.float64(1.0e-6))
+LARGEST = wp.constant(wp.float64(1.0e300))  # beyond are corners that are not finite
 
 
 @wp.struct
@@ -82,7 +83,7 @@ def occluder(face: LightFace, a: wp.vec4d, b: wp.vec4d, c: wp.vec4d, u0: float, 
     out.b = scaled_edge(bu * turn, bv * turn, bw * turn, anchor_u, anchor_v, face.across_error)
     out.c = scaled_edge(cu * turn, cv * turn, cw * turn, anchor_u, anchor_v, face.across_error)
     out.plane = wp.vec4(float(pu * scale), float(pv * scale), float(-area * scale), float(rest * scale))
-    if not area > zero:
+    if not (area > zero and area < LARGEST):
         out.plane = wp.vec4(0.0, 0.0, 0.0, -1.0)
     return out
 

@@ -157,3 +157,20 @@ def sort_rows(
         h_out[i] = HIDDEN
 
 
+
+
+@wp.kernel
+def count_before(
+    first: int, cell_begin: wp.array2d(dtype=int), first_row: int, group: int, occupied_out: wp.array2d(dtype=int)
+):
+    """Samples of a face in the cells before each row and column, (R + 1, R + 1), for a group of columns."""
+    begin = (first + wp.tid()) * group
+    end = wp.min(begin + group, occupied_out.shape[1])
+    for column in range(begin, end):
+        occupied_out[0, column] = 0
+    for row in range(occupied_out.shape[0] - 1):
+        row_begin = cell_begin[first_row + row, 0]
+        for column in range(begin, end):
+            occupied_out[row + 1, column] = (
+                occupied_out[row, column] + cell_begin[first_row + row, column] - row_begin
+            )
