@@ -1,0 +1,198 @@
+"""The irregular z-buffer: hard shadows exactly at the eye's pixels (Aila and Laine 2004; Johnson et al. 2005).
+
+A depth map samples the light's view where its texels happen to be. Here the receivers are the samples: every pixel is
+projected into the light's view and sorted into the cells of a grid that is fitted to them, casters are drawn into all
+cells that they touch, and each sample in such a cell is tested against the triangle itself. No depth is stored, nothing
+is interpolated, and the size of the cells changes the cost but not the result.
+
+- ``grid``: light coordinates of points, and the grids of the light's faces;
+- ``samples``: pixels to samples, sorted by cell; chunks of the image count for themselves, so that the order of the
+  samples does not depend on the number of threads;
+- ``casters``: the cells that a triangle touches, and the triangles of each band of rows;
+- ``occlusion``: the exact test, one pixel at a time;
+- ``lanes``: the same on the CPU, a run of samples at a time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wkernels.irregular.caster_lanes import LANES as CASTER_LANES
+from wkernels.irregular.caster_lanes import (
+    Corners,
+    Longs,
+    Points,
+    bound_triangles_lanes,
+    place_vertices_lanes,
+)
+from wkernels.irregular.caster_lanes import Ints as CasterInts
+from wkernels.irregular.casters import bound_triangles, count_bands, list_bands, place_vertices
+from wkernels.irregular.grid import LightFace, fit_grid, light_faces
+from wkernels.irregular.lanes import LANES, PIECE, Ints, Piece, SampleRuns, test_band
+from wkernels.irregular.occlusion import test_pixels
+from wkernels.irregular.samples import PAD, count_before, count_rows, list_rows, place_pixels, sort_rows
+from wkernels.launch import launch
+from wkernels.light_views import scene_views
+from wkernels.receiver_lanes import uses_lanes
+
+if TYPE_CHECKING:
+    from wkernels.frame import Session
+    from wkernels.gbuffer import GBuffer
+
+__all__ = ["find_hidden"]
+
+CHUNKS = 32
+BANDS = 64
+GROUP = 16  # columns added up by one grid cell
+
+
+def find_hidden(frame: Session, gbuffer: GBuffer, resolution: int, visibility_out: wp.array) -> None:
+    """Hard visibility of the centre of the frame's light, 0 or 1, at every pixel.
+
+    Args:
+        frame: Scene, light and memory; it must have casters.
+        gbuffer: The pixels.
+        resolution: Cells per side of the grid of each of the light's faces, 1 to 8192.
+        visibility_out: float32 (H, W), 1 where there is no receiver.
+    """
+    light_ws = frame.light.centre
+    geometry = frame.geometry
+    receivers = geometry.bounds(receivers=True)
+    if receivers.empty:
+        visibility_out.fill_(1.0)
+        return
+    views = scene_views(light_ws, receivers, geometry.bounds(casters=True), resolution)
+    faces = light_faces(views, light_ws, resolution)
+    height, width = visibility_out.shape
+    place = frame.buffer("sample places", (height, width), wp.vec3)
+    row_of_pixel = frame.buffer("sample rows", (height, width), wp.int32)
+    with frame.timed("project pixels"):
+        bounds = frame.buffer("sample bounds", (height, len(faces), 6), wp.float32)
+        inputs = [gbuffer, wp.vec4(*light_ws), _upload(faces, frame.device)]
+        frame.launch(place_pixels, height, inputs, [place, row_of_pixel, visibility_out, bounds])
+        found = bounds.numpy()
+        low, high = found[:, :, :3].min(axis=0), found[:, :, 3:].max(axis=0)
+        used = [k for k in range(len(faces)) if low[k, 0] <= high[k, 0]]
+        for k in used:
+            fit_grid(faces[k], np.concatenate([low[k], high[k]]))
+    if not used:
+        return
+    with frame.timed("sort pixels"):
+        on_device = _upload(faces, frame.device)
+        samples = _sort(frame, on_device, place, row_of_pixel)
+    for k in used:
+        with frame.timed("bound casters"):
+            boxes = _bound_casters(frame, faces[k], samples)
+            bands = _list_casters(frame, boxes, resolution)
+        with frame.timed("test casters"):
+            inputs: list[Any] = [faces[k], boxes.rows, boxes.columns, bands.begin]
+            corners = geometry.caster_indices
+            if uses_lanes(frame.device):
+                runs = _view(bands.listed, Ints, len(bands.listed) - int(LANES) + 1, 4)
+                inputs = [_view(geometry.points_ws, float, 3 * len(geometry.points_ws)), corners, *inputs, runs]
+                inputs += [bands.shift, samples.runs]
+                # bands have different loads, so threads take them one by one
+                options: dict[str, Any] = {"device": frame.device, "threads": frame.threads, "tile": 1}
+                launch(test_band, len(bands.begin) - 1, inputs, [visibility_out.flatten()], **options)
+            else:
+                inputs = [geometry.points_ws, corners, *inputs, bands.listed, bands.shift, place, row_of_pixel]
+                frame.launch(test_pixels, (height, width), inputs, [visibility_out])
+
+
+@dataclass
+class _Samples:
+    runs: SampleRuns
+    cell_begin: wp.array
+
+
+@dataclass
+class _Boxes:
+    rows: wp.array
+    columns: wp.array
+
+
+@dataclass
+class _Bands:
+    begin: wp.array
+    listed: wp.array
+    shift: int
+
+
+def _sort(frame: Session, faces: wp.array, place: wp.array, row_of_pixel: wp.array) -> _Samples:
+    """Samples in the order of their cells, each row with its padding."""
+    resolution = int(faces.numpy()["resolution"][0])
+    rows, pixels = len(faces) * resolution, place.size
+    counts = frame.buffer("sample counts", (rows, CHUNKS), wp.int32)
+    frame.launch(count_rows, CHUNKS, [faces, place, row_of_pixel, CHUNKS], [row_of_pixel, counts])
+    held = counts.numpy()
+    begins = np.zeros(rows + 1, dtype=np.int32)
+    begins[1:] = np.cumsum(held.sum(axis=1) + int(PAD))
+    counts.assign(begins[:-1, None] + np.cumsum(held, axis=1, dtype=np.int32) - held)
+    room = pixels + rows * int(PAD)
+    out = SampleRuns()
+    out.row_begin = frame.buffer("sample row begin", (rows + 1,), wp.int32)
+    out.row_begin.assign(begins)
+    listed = frame.buffer("samples by row", (room,), wp.int32)
+    frame.launch(list_rows, CHUNKS, [row_of_pixel, CHUNKS, counts], [listed])
+    cells = frame.buffer("sample cell begin", (rows, resolution + 1), wp.int32)
+    out.pixel = frame.buffer("sample pixels", (room,), wp.int32)
+    u, v, out.height = (frame.buffer(f"sample {name}", (room,), wp.float32) for name in "uvh")
+    frame.launch(sort_rows, rows, [faces, place.flatten(), out.row_begin, listed], [cells, out.pixel, u, v, out.height])
+    if uses_lanes(frame.device):
+        out.u, out.v, out.h = (_view(a, Piece, room - int(PIECE) + 1, 4) for a in (u, v, out.height))
+    out.cell_begin = cells.flatten()
+    return _Samples(out, cells)
+
+
+def _bound_casters(frame: Session, face: LightFace, samples: _Samples) -> _Boxes:
+    """The cells of every casting triangle."""
+    geometry, side = frame.geometry, face.resolution + 1
+    points, corners, count = geometry.points_ws, geometry.caster_indices, geometry.caster_triangles
+    occupied = frame.buffer("samples before", (side, side), wp.int32)
+    frame.launch(count_before, -(-side // GROUP), [samples.cell_begin, face.first_row, GROUP], [occupied])
+    vertex = frame.buffer("caster vertices", (len(points),), wp.int64)
+    out = _Boxes(*(frame.buffer(f"caster {name}", (count,), wp.int32) for name in ("rows", "columns")))
+    if not uses_lanes(frame.device):
+        frame.launch(place_vertices, len(points), [points, face], [vertex])
+        frame.launch(bound_triangles, count, [vertex, corners, face, occupied], [out.rows, out.columns])
+        return out
+    lanes = int(CASTER_LANES)
+    whole = len(points) // lanes
+    inputs = [_view(points, Points, whole), points, face]
+    frame.launch(place_vertices_lanes, -(-len(points) // lanes), inputs, [_view(vertex, Longs, whole), vertex])
+    whole = count // lanes
+    inputs = [vertex, _view(corners, Corners, whole), corners, face, occupied, occupied.flatten()]
+    outputs = [_view(array, CasterInts, whole) for array in (out.rows, out.columns)]
+    frame.launch(bound_triangles_lanes, -(-count // lanes), inputs, [*outputs, out.rows, out.columns])
+    return out
+
+
+def _list_casters(frame: Session, boxes: _Boxes, resolution: int) -> _Bands:
+    """The triangles of every band of rows."""
+    count = len(boxes.rows)
+    shift = max(0, int(np.ceil(np.log2(resolution / BANDS))))
+    bands = -(-resolution // (1 << shift))
+    counts = frame.buffer("band counts", (bands, CHUNKS), wp.int32)
+    frame.launch(count_bands, CHUNKS, [boxes.rows, count, shift, CHUNKS], [counts])
+    starts = np.concatenate([[0], np.cumsum(counts.numpy().ravel(), dtype=np.int64)])
+    counts.assign(starts[:-1].reshape(bands, CHUNKS).astype(np.int32))
+    begin = frame.buffer("band begin", (bands + 1,), wp.int32)
+    begin.assign(starts[::CHUNKS].astype(np.int32))
+    # a power of two, so that few sizes are ever held
+    listed = frame.buffer("band list", (1 << (int(starts[-1]) + int(LANES)).bit_length(),), wp.int32)
+    frame.launch(list_bands, CHUNKS, [boxes.rows, count, shift, CHUNKS, counts], [listed])
+    return _Bands(begin, listed, shift)
+
+
+def _view(array: wp.array, dtype: type, count: int, stride: int | None = None) -> wp.array:
+    """The memory of an array as another type, one after the other or ``stride`` bytes apart."""
+    strides = None if stride is None else (stride,)
+    return wp.array(ptr=array.ptr, dtype=dtype, shape=count, strides=strides, device="cpu")
+
+
+def _upload(faces: list[LightFace], device: str) -> wp.array:
+    return wp.array(faces, dtype=LightFace, device=device)
