@@ -22,6 +22,9 @@ from wkernels.errors import InputError
 from wkernels.geometry import Bounds
 from wkernels.views import HostView
 
+LEAST_ANGLE = np.radians(1.0)
+"""Between light and view direction: below it the frusta duel and nothing is better than no warp."""
+
 FOLDER = Path(__file__).parent / "projections"
 
 
@@ -109,6 +112,13 @@ class Warp(Plugin):
         Returns:
             Above 0; infinite for no warp.
         """
+
+    def bounded_distance(self, shape: WarpShape) -> float:
+        """``distance``, but infinite where light and view are nearly parallel or there is nothing to be warped."""
+        if shape.gamma < LEAST_ANGLE or not (shape.extent > 0.0 and shape.near > 0.0 and shape.far > shape.near):
+            return float(np.inf)
+        distance = self.distance(shape)
+        return distance if distance > 0.0 else float(np.inf)
 
 
 class Stabiliser(Plugin):
