@@ -1,8 +1,9 @@
 """Projections: where light depth maps look, composed of a fit, a warp, splits and a stabilisation.
 
-A fit is a plugin: one class in one file of ``algorithms/projections/``, found by scanning that folder. A warp of
-``none``, a single split and a stabilisation of ``none`` are the identity and need no file. Every technique that reads a
-light depth map does so through whatever composition its session was given.
+Each part is a plugin, one class in one file, found by scanning its folder: ``projections/fits`` (what the view is
+fitted to), ``projections/warps`` (how its texels are moved towards the eye), ``projections/stabilisers`` (what keeps
+its texels still). Partition schemes are formulas (``wkernels.splits``). Every technique that reads a light depth map
+does so through whatever composition its session was given; ``algorithms.composition`` puts one together.
 """
 
 from __future__ import annotations
@@ -10,38 +11,49 @@ from __future__ import annotations
 import importlib
 import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
-from wkernels.errors import InputError, nearest
-from wkernels.frame import LightViews
+from wkernels.clipping import ConvexBody
+from wkernels.errors import InputError
 from wkernels.geometry import Bounds
 from wkernels.views import HostView
 
+LEAST_ANGLE = np.radians(1.0)
+"""Between light and view direction: below it the frusta duel and nothing is better than no warp."""
+
 FOLDER = Path(__file__).parent / "projections"
-SPLIT_KEYS = frozenset({"scheme", "lambda", "selection", "storage"})
-"""Keys that say how several splits are spaced, chosen and stored: without effect while there is one."""
 
 
-class Fit(ABC):
-    """Lays light views over a scene; subclasses are final and live alone in their file.
+class Plugin(ABC):
+    """A part of a projection; subclasses of its kinds are final and live alone in their file.
 
     Attributes:
-        name: File name = value of the key ``fit``.
+        name: File name = value of the key.
         paper: Keys in references.bib.
     """
 
     name: ClassVar[str]
     paper: ClassVar[tuple[str, ...]]
 
+
+class Fit(Plugin):
+    """Decides what a light view has to cover.
+
+    Attributes:
+        follows_eye: Whether it covers a part of the eye's frustum, so that warps and splits make sense.
+    """
+
+    follows_eye: ClassVar[bool] = False
+
     @abstractmethod
     def views(
         self, light_ws: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int, eye: HostView
     ) -> list[HostView]:
-        """The views of one light sample.
+        """The plain views of one light sample, without warp and splits.
 
         Args:
             light_ws: Light sample, float64 (4,), rebased world: a point (w = 1) or the direction towards the light
@@ -55,52 +67,105 @@ class Fit(ABC):
             One view per layer of the light depth map, all ``resolution`` square.
         """
 
+    def body(self, receivers: Bounds, eye: HostView) -> ConvexBody:
+        """What has to be covered of the receivers in the eye's view; empty where it sees none.
+
+        Only for fits that follow the eye.
+        """
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class WarpShape:
+    """What a warp's strength may depend on; lengths in scene units but for ``extent``.
+
+    Attributes:
+        near, far: Eye depths of what is covered.
+        z_0, z_1: Eye depths of two points ``extent`` apart along the map's v axis, on the first and the last of what is
+            covered (Wimmer and Scherzer 2006); equal to near and far under overhead light.
+        extent: Extent along v in map units, d.
+        half_fov: Half the eye's field of view in the plane of view and light direction, radians.
+        gamma: Angle between light and view direction, folded to 0 .. pi/2, radians.
+        pseudo_near, pseudo_far: Shares of the depth range before and behind the pseudo planes (Stingl 2011, 4.2).
+        distance: n' of ``arbitrary``, as a multiple of ``extent``; None where it is not given.
+    """
+
+    near: float
+    far: float
+    z_0: float
+    z_1: float
+    extent: float
+    half_fov: float
+    gamma: float = 0.5 * np.pi
+    pseudo_near: float = 0.0
+    pseudo_far: float = 0.0
+    distance: float | None = None
+
+
+class Warp(Plugin):
+    """Decides how strongly texels are moved towards the eye."""
+
+    @abstractmethod
+    def distance(self, shape: WarpShape) -> float:
+        """n', from the warp's centre to the near side of what is covered, in the units of ``shape.extent``.
+
+        Returns:
+            Above 0; infinite for no warp.
+        """
+
+    def bounded_distance(self, shape: WarpShape) -> float:
+        """``distance``, but infinite where light and view are nearly parallel or there is nothing to be warped."""
+        if shape.gamma < LEAST_ANGLE or not (shape.extent > 0.0 and shape.near > 0.0 and shape.far > shape.near):
+            return float(np.inf)
+        distance = self.distance(shape)
+        return distance if distance > 0.0 else float(np.inf)
+
+
+class Stabiliser(Plugin):
+    """Keeps the texels of an unwarped directional view where they were as the eye moves."""
+
+    @abstractmethod
+    def stabilise(self, view: HostView, eye: HostView) -> HostView:
+        """The view with another window.
+
+        Args:
+            view: An orthographic view, fitted to the receivers in the eye's view.
+            eye: The eye's view, its depth range that of the split.
+        """
+
 
 def fits() -> dict[str, type[Fit]]:
-    """Every fit by name.
-
-    Raises:
-        InputError: A file of the folder cannot be imported or does not hold exactly one fit named like the file.
-    """
-    return {path.stem: _fit_of(path) for path in sorted(FOLDER.glob("*.py")) if path.stem != "__init__"}
+    """Every fit by name. Raises InputError where a file cannot be imported or does not hold exactly one such plugin."""
+    return _found("fits", Fit)
 
 
-def compose(settings: Mapping[str, Any] | None = None) -> LightViews:
-    """The projection that a mapping with the keys of an experiment file's ``projection`` stands for.
-
-    Args:
-        settings: ``fit``, ``warp``, ``splits``, ``stabilise`` and the keys of ``SPLIT_KEYS``; what is left out is the
-            plainest value (``scene``, ``none``, 1, ``none``).
-
-    Raises:
-        InputError: An unknown key, or a value that does not exist; the message lists those that do.
-    """
-    settings = dict(settings or {})
-    table = fits()
-    known: dict[str, list[Any]] = {"fit": list(table), "warp": ["none"], "splits": [1], "stabilise": ["none"]}
-    for key, value in settings.items():
-        if key not in known and key not in SPLIT_KEYS:
-            raise InputError(f"is not a known key.{nearest(str(key), [*known, *SPLIT_KEYS])}", key=f"projection.{key}")
-        # a bool compares equal to 1 and is no number of splits
-        if key in known and (isinstance(value, bool) or value not in known[key]):
-            choices = ", ".join(str(choice) for choice in known[key])
-            raise InputError(f"{value!r} is not available; available: {choices}.", key=f"projection.{key}")
-    return table[settings.get("fit", "scene")]().views
+def warps() -> dict[str, type[Warp]]:
+    """Every warp by name; see ``fits``."""
+    return _found("warps", Warp)
 
 
-def _fit_of(path: Path) -> type[Fit]:
+def stabilisers() -> dict[str, type[Stabiliser]]:
+    """Every stabiliser by name; see ``fits``."""
+    return _found("stabilisers", Stabiliser)
+
+
+def _found(folder: str, kind: Any) -> dict[str, Any]:
+    files = sorted((FOLDER / folder).glob("*.py"))
+    return {path.stem: _plugin_of(path, kind) for path in files if path.stem != "__init__"}
+
+
+def _plugin_of(path: Path, kind: Any) -> Any:
     try:
-        module = importlib.import_module(f"algorithms.projections.{path.stem}")
+        module = importlib.import_module(f"algorithms.projections.{path.parent.name}.{path.stem}")
     except Exception as error:
         raise InputError(f"cannot be imported: {type(error).__name__}: {error}", file=path) from error
-    found = [
+    found: list[Any] = [
         value
         for value in vars(module).values()
-        if inspect.isclass(value) and issubclass(value, Fit) and value.__module__ == module.__name__
+        if inspect.isclass(value) and issubclass(value, kind) and value.__module__ == module.__name__
     ]
     names = [getattr(value, "name", None) for value in found]
     if names != [path.stem]:
-        raise InputError(
-            f"a projection file holds exactly one Fit with the file's name, this one holds {names}", file=path
-        )
+        message = f"a projection file holds exactly one {kind.__name__} with the file's name, this one holds {names}"
+        raise InputError(message, file=path)
     return found[0]

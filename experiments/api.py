@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from algorithms.composition import compose
 from algorithms.plugins import find
-from algorithms.projection import compose
 from algorithms.technique import Technique
 from experiments.config.needs import check_needs
 from experiments.config.schema import Projection

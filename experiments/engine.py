@@ -98,7 +98,7 @@ class WarpEngine:
         skips: bool = True,
         plugins: Mapping[str, type] | None = None,
     ) -> None:
-        from algorithms.projection import compose
+        from algorithms.composition import compose
         from experiments.config.needs import check_needs
         from wkernels.geometry import Geometry
         from wkernels.launch import default_threads

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from algorithms.plugins import load_all
 from experiments.commands.progress import progress_display
+from experiments.config.analysis import is_analysis, load_analysis
 from experiments.config.schema import load_experiment
 
 
@@ -23,6 +24,12 @@ def run_experiment(
     plugin_files: Sequence[Path],
 ) -> None:
     """Runs an experiment, which writes its report, and says where that is."""
+    if is_analysis(config, overrides):
+        from experiments.analysis import run_analysis
+
+        analysis = load_analysis(config, overrides)
+        print(f"Table: {run_analysis(analysis, out or Path('out') / analysis.name)}")
+        return
     from experiments.runner import run
 
     plugins = load_all(plugin_files)
@@ -55,6 +62,11 @@ def report_folder(folder: Path) -> None:
 
 def explain_experiment(config: Path, *, overrides: Sequence[str], plugin_files: Sequence[Path]) -> None:
     """Prints what an experiment will do."""
+    if is_analysis(config, overrides):
+        from experiments.analysis import explain_analysis
+
+        print(explain_analysis(load_analysis(config, overrides)))
+        return
     from experiments.explain import explain
 
     plugins = load_all(plugin_files)

@@ -9,6 +9,8 @@ from pydantic import Field, model_validator
 from experiments.config.source import StrictModel
 
 Pixels = Annotated[int, Field(ge=1, le=16384)]
+WarpName = Literal["none", "psm", "lispsm_nopt", "lispsm_nrepar", "arbitrary"]
+Scheme = Literal["uniform", "log", "practical", "pseudo"]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
@@ -41,9 +43,9 @@ class Projection(StrictModel):
     """
 
     fit: str = "scene"
-    warp: Literal["none", "psm", "lispsm_nopt", "lispsm_nrepar", "arbitrary"] = "none"
+    warp: WarpName = "none"
     splits: int = Field(1, ge=1, le=16)
-    scheme: Literal["uniform", "log", "practical", "pseudo"] = "practical"
+    scheme: Scheme = "practical"
     lambda_: Fraction = Field(0.5, alias="lambda")
     selection: Literal["depth", "best"] = "depth"
     storage: Literal["separate", "array", "cube6", "atlas4", "atlas9", "atlas16"] = "separate"

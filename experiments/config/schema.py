@@ -25,7 +25,7 @@ from wkernels.scene import Scene
 __all__ = ["Experiment", "FrameRange", "Image", "Projection", "Reference", "check_needs", "load_experiment"]
 
 KINDS = ("walkthrough", "convergence", "sweep", "stability", "analysis", "bench")
-AVAILABLE_KINDS = ("walkthrough",)
+AVAILABLE_KINDS = ("walkthrough", "analysis")
 REFERENCE_METRICS = frozenset({"rmse", "mean_signed_error", "p99_error", "flip", "reference_standard_error"})
 
 

@@ -151,7 +151,7 @@ def _projection(
 
 def check_projection(source: Source, loc: Loc, settings: dict[str, Any]) -> None:
     """Refuses values that a projection may have but for which there is no plugin; InputError names the key."""
-    from algorithms.projection import compose
+    from algorithms.composition import compose
 
     try:
         compose(settings)

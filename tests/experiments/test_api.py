@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import experiments
+from algorithms.composition import compose
 from algorithms.plugins import load_all
-from algorithms.projection import FOLDER, compose, fits
+from algorithms.projection import FOLDER, fits, warps
 from experiments import reference_visibility, render_visibility
 from experiments.scenes import load_scene
 from wkernels.errors import InputError
@@ -158,10 +159,12 @@ def test_projection_table_says_what_exists(settings: dict[str, Any], message: st
         compose(settings)
 
 
-def test_fit_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert set(fits()) == {path.stem for path in FOLDER.glob("*.py")} - {"__init__"}
-    assert all(fit.name == name and fit.paper for name, fit in fits().items())
-    (tmp_path / "absent.py").write_text("", encoding="utf-8")
+def test_projection_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for folder, table in (("fits", fits()), ("warps", warps())):
+        assert set(table) == {path.stem for path in (FOLDER / folder).glob("*.py")} - {"__init__"}
+        assert table and all(part.name == name and part.paper for name, part in table.items())
+    (tmp_path / "fits").mkdir()
+    (tmp_path / "fits" / "absent.py").write_text("", encoding="utf-8")
     monkeypatch.setattr("algorithms.projection.FOLDER", tmp_path)
     with pytest.raises(InputError, match=r"absent\.py: cannot be imported"):
         compose()

@@ -191,7 +191,11 @@ def test_a_mistake_is_named_with_file_line_and_key(load: Load, text: str, expect
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("walkthrough", "sweep", "e.yaml:1: kind: kind 'sweep' is not available yet; available: walkthrough."),
+        (
+            "walkthrough",
+            "sweep",
+            "e.yaml:1: kind: kind 'sweep' is not available yet; available: walkthrough, analysis.",
+        ),
         (
             "walkthrough",
             "walktrough",

@@ -23,9 +23,7 @@ def add_row_number(first: int, work: int, sum_out: wp.array2d(dtype=float)):
 
 
 def record(sums: wp.array, tile: int, work: int = 1) -> wp.Launch:
-    return wp.launch(
-        add_row_number, dim=(tile, sums.shape[1]), inputs=[0, work, sums], device="cpu", record_cmd=True
-    )
+    return wp.launch(add_row_number, dim=(tile, sums.shape[1]), inputs=[0, work, sums], device="cpu", record_cmd=True)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5, MAX_WORKERS + 40])
