@@ -19,8 +19,9 @@ from wkernels.filtering import mean_blocker_depth, penumbra_filter
 from wkernels.filtering_lanes import keep_without_receiver, penumbra_filter_run
 from wkernels.frame import Session
 from wkernels.gbuffer import GBuffer
+from wkernels.lanes import LANES, Floats, runs_per_row, uses_lanes
 from wkernels.light_map import Bias, LightMap
-from wkernels.receiver_lanes import LANES, Floats, LaneViews, lane_views, locate_run, runs_per_row, uses_lanes
+from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.receivers import receiver_of_pixel
 
 

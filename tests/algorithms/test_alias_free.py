@@ -16,8 +16,8 @@ from algorithms.reference.ray_cast_point_shadow import RayCastPointShadow
 from algorithms.technique import Technique
 from wkernels.frame import Session
 from wkernels.geometry import Geometry
+from wkernels.lanes import uses_lanes
 from wkernels.lights import DirectionalLight, Light, PointLight
-from wkernels.receiver_lanes import uses_lanes
 from wkernels.scene import Camera, Mesh, Scene
 
 SIZE = (160, 120)

@@ -10,8 +10,8 @@ import small_scenes as small
 from filtering_sessions import INSIDE, OPTIONS, render
 
 from wkernels import searched_filter
+from wkernels.lanes import uses_lanes
 from wkernels.lights import Light, PointLight
-from wkernels.receiver_lanes import uses_lanes
 from wkernels.scene import Camera, Scene
 
 FILTERS: tuple[tuple[str, dict[str, Any]], ...] = (

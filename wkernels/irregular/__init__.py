@@ -35,9 +35,9 @@ from wkernels.irregular.grid import LightFace, fit_grid, light_faces
 from wkernels.irregular.lanes import LANES, PIECE, Ints, Piece, SampleRuns, test_band
 from wkernels.irregular.occlusion import test_pixels
 from wkernels.irregular.samples import PAD, count_before, count_rows, list_rows, place_pixels, sort_rows
+from wkernels.lanes import uses_lanes
 from wkernels.launch import launch
 from wkernels.light_views import scene_views
-from wkernels.receiver_lanes import uses_lanes
 
 if TYPE_CHECKING:
     from wkernels.frame import Session
