@@ -72,7 +72,7 @@ def find_hidden(frame: Session, gbuffer: GBuffer, resolution: int, visibility_ou
     row_of_pixel = frame.buffer("sample rows", (height, width), wp.int32)
     with frame.timed("project pixels"):
         bounds = frame.buffer("sample bounds", (height, len(faces), 6), wp.float32)
-        inputs = [gbuffer, wp.vec4(*light_ws), _upload(faces, frame.device)]
+        inputs: list[Any] = [gbuffer, wp.vec4(*light_ws), _upload(faces, frame.device)]
         frame.launch(place_pixels, height, inputs, [place, row_of_pixel, visibility_out, bounds])
         found = bounds.numpy()
         low, high = found[:, :, :3].min(axis=0), found[:, :, 3:].max(axis=0)
@@ -89,7 +89,7 @@ def find_hidden(frame: Session, gbuffer: GBuffer, resolution: int, visibility_ou
             boxes = _bound_casters(frame, faces[k], samples)
             bands = _list_casters(frame, boxes, resolution)
         with frame.timed("test casters"):
-            inputs: list[Any] = [faces[k], boxes.rows, boxes.columns, bands.begin]
+            inputs = [faces[k], boxes.rows, boxes.columns, bands.begin]
             corners = geometry.caster_indices
             if uses_lanes(frame.device):
                 runs = _view(bands.listed, Ints, len(bands.listed) - int(LANES) + 1, 4)

@@ -1,9 +1,10 @@
 """Light grids: homogeneous light coordinates of points, and the cells that receivers are sorted into.
 
-A face of a light has coordinates in which the light's rays are straight and parallel: ``u``, ``v`` across and the height
-``h``, which grows towards the light. For a direction they are lengths along the face's axes (h is the negative depth),
-for a point u = x / z, v = y / z and h = 1 / z. Planes stay planes in (u, v, h), so whether a triangle hides a point is a
-matter of four linear functions. Before the division a point is (x, y, w, h w), which is finite behind the light too.
+A face of a light has coordinates in which the light's rays are straight and parallel: ``u``, ``v`` across and the
+height ``h``, which grows towards the light. For a direction they are lengths along the face's axes (h is the negative
+depth), for a point u = x / z, v = y / z and h = 1 / z. Planes stay planes in (u, v, h), so whether a triangle hides a
+point is a matter of four linear functions. Before the division a point is (x, y, w, h w), which is finite behind the
+light too.
 """
 
 from __future__ import annotations

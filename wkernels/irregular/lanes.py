@@ -267,7 +267,8 @@ def test_band(
                     u = samples.u[at] - u_0
                     v = samples.v[at] - v_0
                     h = samples.h[at]
-                    inside = wp.min(wp.min(u * a_du + v * a_dv + a_0, u * b_du + v * b_dv + b_0), u * c_du + v * c_dv + c_0)
+                    inside_c = u * c_du + v * c_dv + c_0
+                    inside = wp.min(wp.min(u * a_du + v * a_dv + a_0, u * b_du + v * b_dv + b_0), inside_c)
                     above = wp.min(u * p_du + v * p_dv + p_0 + h * p_dh, inside)
                     samples.h[at] = h + (wp.max(above, zeros) * HUGE) * HUGE
                     at += PIECE

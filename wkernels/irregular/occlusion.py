@@ -143,7 +143,8 @@ def test_pixels(
         t = band_list[i]
         y0 = rows[t] & 65535
         x0 = columns[t] & 65535
-        if rows[t] != NO_ROWS and row >= y0 and row <= (rows[t] >> 16) and column >= x0 and column <= (columns[t] >> 16):
+        in_rows = rows[t] != NO_ROWS and row >= y0 and row <= (rows[t] >> 16)
+        if in_rows and column >= x0 and column <= (columns[t] >> 16):
             a = to_face(face, points_ws[indices[3 * t]])
             b = to_face(face, points_ws[indices[3 * t + 1]])
             c = to_face(face, points_ws[indices[3 * t + 2]])
