@@ -17,7 +17,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from algorithms.technique import Limit, Params, Technique, setting
+from algorithms.technique import Limit, Technique, setting
+from algorithms.technique import Params as BaseParams
 from wkernels.frame import Session as Frame
 from wkernels.irregular import find_hidden
 
@@ -31,7 +32,7 @@ class AliasFree(Technique):
     bias_sign = "none"
     limits = (Limit(equals="ray_cast_point_shadow", tolerance=1e-6, flips=0.001),)
 
-    class Params(Params):
+    class Params(BaseParams):
         """The grid that samples are sorted into."""
 
         resolution: int = setting(

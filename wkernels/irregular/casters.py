@@ -39,7 +39,7 @@ def row_of_vertex(vertex: wp.int64):
 
 @wp.func
 def place_vertex(face: LightFace, position_ws: wp.vec3):
-    """A vertex in 1/256 cells; BESIDE, and a bit for each border it is outside of, where w says that it has no place."""
+    """A vertex in 1/256 cells; where it has no place, BESIDE and a bit for each border that it is outside of."""
     a = to_face(face, position_ws)
     left = wp.float64(face.left)
     low = wp.float64(face.low)
@@ -84,7 +84,11 @@ def borders_of(vertex: wp.int64, margin: int, last: int):
 
 @wp.func
 def bound_triangle(
-    vertex: wp.array(dtype=wp.int64), indices: wp.array(dtype=int), face: LightFace, occupied: wp.array2d(dtype=int), t: int
+    vertex: wp.array(dtype=wp.int64),
+    indices: wp.array(dtype=int),
+    face: LightFace,
+    occupied: wp.array2d(dtype=int),
+    t: int,
 ):
     """Rows and columns of the cells that hold every receiver which a triangle may hide, both packed.
 
