@@ -191,9 +191,7 @@ def test_light_at_a_vertex_and_in_a_triangle(device: str) -> None:
 
 @pytest.mark.parametrize("resolution", [1, 5, 96, 256])
 @pytest.mark.parametrize("light", LIGHTS)
-def test_lanes_are_the_plain_kernels(
-    light: str, resolution: int, device: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lanes_are_the_plain_kernels(light: str, resolution: int, device: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if not uses_lanes(device):
         pytest.skip("lane kernels run on the CPU only")
     images = []

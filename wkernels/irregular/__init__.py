@@ -34,7 +34,21 @@ from wkernels.irregular.casters import bound_triangles, count_bands, list_bands,
 from wkernels.irregular.grid import LightFace, fit_grid, light_faces
 from wkernels.irregular.lanes import LANES, PIECE, Ints, Piece, SampleRuns, test_band
 from wkernels.irregular.occlusion import test_pixels
-from wkernels.irregular.samples import PAD, count_before, count_rows, list_rows, place_pixels, sort_rows
+from wkernels.irregular.pixel_lanes import LANES as PIXEL_LANES
+from wkernels.irregular.pixel_lanes import Floats as PixelFloats
+from wkernels.irregular.pixel_lanes import Ints as PixelInts
+from wkernels.irregular.pixel_lanes import PixelRuns, PlaceRuns, place_pixels_lanes
+from wkernels.irregular.pixel_lanes import Vectors as PixelVectors
+from wkernels.irregular.samples import (
+    PAD,
+    Places,
+    bound_pixels,
+    count_before,
+    count_rows,
+    list_rows,
+    place_pixels,
+    sort_rows,
+)
 from wkernels.lanes import uses_lanes
 from wkernels.launch import launch
 from wkernels.light_views import scene_views
@@ -68,12 +82,19 @@ def find_hidden(frame: Session, gbuffer: GBuffer, resolution: int, visibility_ou
     views = scene_views(light_ws, receivers, geometry.bounds(casters=True), resolution)
     faces = light_faces(views, light_ws, resolution)
     height, width = visibility_out.shape
-    place = frame.buffer("sample places", (height, width), wp.vec3)
+    places = Places()
+    places.u, places.v, places.h = (frame.buffer(f"pixel {name}", (height, width), wp.float32) for name in "uvh")
     row_of_pixel = frame.buffer("sample rows", (height, width), wp.int32)
     with frame.timed("project pixels"):
         bounds = frame.buffer("sample bounds", (height, len(faces), 6), wp.float32)
         inputs: list[Any] = [gbuffer, wp.vec4(*light_ws), _upload(faces, frame.device)]
-        frame.launch(place_pixels, height, inputs, [place, row_of_pixel, visibility_out, bounds])
+        if uses_lanes(frame.device) and width >= int(PIXEL_LANES):
+            inputs = [_pixel_runs(gbuffer), *inputs[1:]]
+            outputs = [_place_runs(places, row_of_pixel, visibility_out)]
+            frame.launch(place_pixels_lanes, height, inputs, [*outputs, bounds])
+        else:
+            frame.launch(place_pixels, (height, width), inputs, [places, row_of_pixel, visibility_out])
+            frame.launch(bound_pixels, height, [places, row_of_pixel], [bounds])
         found = bounds.numpy()
         low, high = found[:, :, :3].min(axis=0), found[:, :, 3:].max(axis=0)
         used = [k for k in range(len(faces)) if low[k, 0] <= high[k, 0]]
@@ -83,7 +104,7 @@ def find_hidden(frame: Session, gbuffer: GBuffer, resolution: int, visibility_ou
         return
     with frame.timed("sort pixels"):
         on_device = _upload(faces, frame.device)
-        samples = _sort(frame, on_device, place, row_of_pixel)
+        samples = _sort(frame, on_device, places, row_of_pixel)
     for k in used:
         with frame.timed("bound casters"):
             boxes = _bound_casters(frame, faces[k], samples)
@@ -99,8 +120,26 @@ def find_hidden(frame: Session, gbuffer: GBuffer, resolution: int, visibility_ou
                 options: dict[str, Any] = {"device": frame.device, "threads": frame.threads, "tile": 1}
                 launch(test_band, len(bands.begin) - 1, inputs, [visibility_out.flatten()], **options)
             else:
-                inputs = [geometry.points_ws, corners, *inputs, bands.listed, bands.shift, place, row_of_pixel]
+                inputs = [geometry.points_ws, corners, *inputs, bands.listed, bands.shift, places, row_of_pixel]
                 frame.launch(test_pixels, (height, width), inputs, [visibility_out])
+
+
+def _pixel_runs(gbuffer: GBuffer) -> PixelRuns:
+    """A G-buffer as runs of pixels, one from every pixel on that has the others behind it."""
+    out, count = PixelRuns(), gbuffer.flags.size - int(PIXEL_LANES) + 1
+    out.flags = _view(gbuffer.flags, PixelInts, count, 4)
+    out.depth = _view(gbuffer.depth, PixelFloats, count, 4)
+    out.position_ws = _view(gbuffer.position_ws, PixelVectors, count, 12)
+    out.normal_ws = _view(gbuffer.normal_ws, PixelVectors, count, 12)
+    out.width = gbuffer.flags.shape[1]
+    return out
+
+
+def _place_runs(places: Places, face: wp.array, visibility: wp.array) -> PlaceRuns:
+    out, count = PlaceRuns(), face.size - int(PIXEL_LANES) + 1
+    out.u, out.v, out.h = (_view(array, PixelFloats, count, 4) for array in (places.u, places.v, places.h))
+    out.face, out.visibility = _view(face, PixelInts, count, 4), _view(visibility, PixelFloats, count, 4)
+    return out
 
 
 @dataclass
@@ -122,12 +161,12 @@ class _Bands:
     shift: int
 
 
-def _sort(frame: Session, faces: wp.array, place: wp.array, row_of_pixel: wp.array) -> _Samples:
+def _sort(frame: Session, faces: wp.array, places: Places, row_of_pixel: wp.array) -> _Samples:
     """Samples in the order of their cells, each row with its padding."""
     resolution = int(faces.numpy()["resolution"][0])
-    rows, pixels = len(faces) * resolution, place.size
+    rows, pixels = len(faces) * resolution, row_of_pixel.size
     counts = frame.buffer("sample counts", (rows, CHUNKS), wp.int32)
-    frame.launch(count_rows, CHUNKS, [faces, place, row_of_pixel, CHUNKS], [row_of_pixel, counts])
+    frame.launch(count_rows, CHUNKS, [faces, places, row_of_pixel, CHUNKS], [row_of_pixel, counts])
     held = counts.numpy()
     begins = np.zeros(rows + 1, dtype=np.int32)
     begins[1:] = np.cumsum(held.sum(axis=1) + int(PAD))
@@ -141,7 +180,8 @@ def _sort(frame: Session, faces: wp.array, place: wp.array, row_of_pixel: wp.arr
     cells = frame.buffer("sample cell begin", (rows, resolution + 1), wp.int32)
     out.pixel = frame.buffer("sample pixels", (room,), wp.int32)
     u, v, out.height = (frame.buffer(f"sample {name}", (room,), wp.float32) for name in "uvh")
-    frame.launch(sort_rows, rows, [faces, place.flatten(), out.row_begin, listed], [cells, out.pixel, u, v, out.height])
+    inputs = [faces, *(a.flatten() for a in (places.u, places.v, places.h)), out.row_begin, listed]
+    frame.launch(sort_rows, rows, inputs, [cells, out.pixel, u, v, out.height])
     if uses_lanes(frame.device):
         out.u, out.v, out.h = (_view(a, Piece, room - int(PIECE) + 1, 4) for a in (u, v, out.height))
     out.cell_begin = cells.flatten()

@@ -39,7 +39,7 @@ def row_of_vertex(vertex: wp.int64):
 
 @wp.func
 def place_vertex(face: LightFace, position_ws: wp.vec3):
-    """A vertex in 1/256 cells; BESIDE, and a bit for each border it is outside of, where w gives it no place."""
+    """A vertex in 1/256 cells; where it has no place, BESIDE and a bit for each border that it is outside of."""
     a = to_face(face, position_ws)
     left = wp.float64(face.left)
     low = wp.float64(face.low)

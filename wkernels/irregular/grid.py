@@ -98,6 +98,6 @@ def fit_grid(face: LightFace, bounds: np.ndarray) -> None:
     face.columns_per_u, face.rows_per_v = face.resolution / size[0], face.resolution / size[1]
     error = float(ROUNDING) * furthest
     face.across_error, face.highest = error, max(abs(low[2]), abs(high[2]))
-    # an eighth of a per cent of a cell and more for the receivers' own columns and rows, which are found in float32
+    # a receiver's rounding, and that of its own column and row, which are found in float32
     steps = 256.0 * (2.0 * error * max(face.columns_per_u, face.rows_per_v) + 4e-7 * face.resolution)
     face.margin = 2 + int(np.ceil(min(steps, 256.0 * face.resolution)))

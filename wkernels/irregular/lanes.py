@@ -1,7 +1,7 @@
 """The exact test on the CPU: 64 triangles are set up in one step, then each meets 16 neighbouring samples at a time.
 
 Samples of one row of cells lie side by side in column order, so the samples in the cells that a triangle touches in a
-row are one run of memory. A hidden sample's height becomes infinite: nothing lies above it, and no flag is kept.
+row are one run of memory. A hidden sample's height becomes HIDDEN: nothing lies above it, and no flag is kept.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from wkernels.irregular.samples import HIDDEN, PAD
 
 LANES = wp.constant(64)  # triangles set up in one step
 PIECE = wp.constant(16)  # samples tested in one step; what is behind a row's end is padding
-HUGE = wp.constant(1.0e38)
 FLAT = wp.constant(1.0e-6)  # columns per row, inverse: an edge that runs along its row bounds none of its columns
 NO_BOUND = wp.constant(1.0e12)  # columns; more than a row's bound can move over all rows
 LEEWAY = wp.constant(0.01)  # columns that a row's span is widened by, beside the face's margin
@@ -103,7 +102,6 @@ def test_band(
     step_a = Floats(0.0)
     step_b = Floats(0.0)
     step_c = Floats(0.0)
-    zeros = Piece(0.0)
     list_end = band_begin[band + 1]
     for i0 in range(band_begin[band], list_end, LANES):
         listed = band_list[i0]
@@ -165,9 +163,7 @@ def test_band(
             top_b = wp.abs(bh / wp.where(positive, bw, one))
             top_c = wp.abs(ch / wp.where(positive, cw, one))
             top_h = wp.min(wp.where(positive, wp.max(wp.max(top_a, top_b), top_c), highest), highest)
-            scale = one / wp.max(
-                wp.max(wp.max(wp.abs(pu), wp.abs(pv)), wp.max(area, SMALL_SHARE * wp.abs(rest))), TINY
-            )
+            scale = one / wp.max(wp.max(wp.max(wp.abs(pu), wp.abs(pv)), wp.max(area, SMALL_SHARE * wp.abs(rest))), TINY)
             rest = rest - (wp.abs(pu) + wp.abs(pv)) * error - area * top_h * ROUNDING
             usable = wp.where(area > zero, area < LARGEST, False)
             p_u[k] = float(pu * scale)
@@ -244,12 +240,12 @@ def test_band(
             b_du = b_u[k]
             c_du = c_u[k]
             p_du = p_u[k]
-            u_0 = Piece(begin_u[k])
-            v_0 = Piece(begin_v[k])
-            a_0 = Piece(a_1[k])
-            b_0 = Piece(b_1[k])
-            c_0 = Piece(c_1[k])
-            p_0 = Piece(p_1[k])
+            u_0 = begin_u[k]
+            v_0 = begin_v[k]
+            a_0 = a_1[k]
+            b_0 = b_1[k]
+            c_0 = c_1[k]
+            p_0 = p_1[k]
             for line in range(wp.max(y0, top), wp.min(box_rows[k] >> 16, bottom) + 1):
                 down = float(line - y0)
                 least = wp.max(
@@ -264,16 +260,22 @@ def test_band(
                 at = samples.cell_begin[cells + column_0]
                 stop = samples.cell_begin[cells + wp.max(column_1, column_0 - 1) + 1]
                 while at < stop:
-                    u = samples.u[at] - u_0
-                    v = samples.v[at] - v_0
+                    u = samples.u[at]
+                    v = samples.v[at]
                     h = samples.h[at]
-                    inside_c = u * c_du + v * c_dv + c_0
-                    inside = wp.min(wp.min(u * a_du + v * a_dv + a_0, u * b_du + v * b_dv + b_0), inside_c)
-                    above = wp.min(u * p_du + v * p_dv + p_0 + h * p_dh, inside)
-                    samples.h[at] = h + (wp.max(above, zeros) * HUGE) * HUGE
+                    for j in range(PIECE):
+                        du = u[j] - u_0
+                        dv = v[j] - v_0
+                        in_a = du * a_du + dv * a_dv + a_0
+                        in_b = du * b_du + dv * b_dv + b_0
+                        in_c = du * c_du + dv * c_dv + c_0
+                        below = du * p_du + dv * p_dv + p_0 + h[j] * p_dh
+                        inside = wp.min(wp.min(in_a, in_b), wp.min(in_c, below))
+                        h[j] = wp.where(inside > 0.0, HIDDEN, h[j])
+                    samples.h[at] = h
                     at += PIECE
     for line in range(top, bottom + 1):
         row_end = samples.row_begin[face.first_row + line + 1] - PAD
         for i in range(samples.row_begin[face.first_row + line], row_end):
-            if not samples.height[i] < HIDDEN:
+            if samples.height[i] >= HIDDEN:
                 visibility[samples.pixel[i]] = 0.0

@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.irregular.casters import NO_ROWS
-from wkernels.irregular.grid import ROUNDING, TINY, LightFace, to_face
-from wkernels.irregular.samples import NO_ROW
+from wkernels.irregular.grid import ROUNDING, TINY, LightFace, column_of, to_face
+from wkernels.irregular.samples import NO_ROW, Places
 
 SMALL_SHARE = wp.constant(wp.float64(1.0e-6))
 LARGEST = wp.constant(wp.float64(1.0e300))  # beyond are corners that are not finite
@@ -32,9 +31,7 @@ class Occluder:
 
 
 @wp.func
-def scaled_edge(
-    u: wp.float64, v: wp.float64, constant: wp.float64, u0: wp.float64, v0: wp.float64, error: wp.float64
-):
+def scaled_edge(u: wp.float64, v: wp.float64, constant: wp.float64, u0: wp.float64, v0: wp.float64, error: wp.float64):
     """An edge's function from an anchor on, widened by the samples' rounding; its larger slope is 1."""
     rest = u * u0 + v * v0 + constant
     scale = wp.float64(1.0) / wp.max(wp.max(wp.max(wp.abs(u), wp.abs(v)), SMALL_SHARE * wp.abs(rest)), TINY)
@@ -123,7 +120,7 @@ def test_pixels(
     band_begin: wp.array(dtype=int),
     band_list: wp.array(dtype=int),
     band_shift: int,
-    place: wp.array2d(dtype=wp.vec3),
+    places: Places,
     row_of_pixel: wp.array2d(dtype=int),
     visibility: wp.array2d(dtype=float),  # set to 0 where a pixel of this face is hidden
 ):
@@ -136,19 +133,19 @@ def test_pixels(
     row -= face.first_row
     if row < 0 or row >= face.resolution:
         return
-    at = place[y, x]
-    column = wp.clamp(int((at[0] - face.left) * face.columns_per_u), 0, face.resolution - 1)
+    u = places.u[y, x]
+    column = column_of(face, u)
     band = row >> band_shift
     for i in range(band_begin[band], band_begin[band + 1]):
         t = band_list[i]
         y0 = rows[t] & 65535
         x0 = columns[t] & 65535
-        in_rows = rows[t] != NO_ROWS and row >= y0 and row <= (rows[t] >> 16)
+        in_rows = row >= y0 and row <= (rows[t] >> 16)
         if in_rows and column >= x0 and column <= (columns[t] >> 16):
             a = to_face(face, points_ws[indices[3 * t]])
             b = to_face(face, points_ws[indices[3 * t + 1]])
             c = to_face(face, points_ws[indices[3 * t + 2]])
             o = occluder(face, a, b, c, anchor_u(face, x0), anchor_v(face, y0))
-            if hides(o, at[0], at[1], at[2]):
+            if hides(o, u, places.v[y, x], places.h[y, x]):
                 visibility[y, x] = 0.0
                 break
