@@ -9,9 +9,9 @@ import warp as wp
 
 from wkernels.geometry import MOVES, Geometry
 from wkernels.launch import launch
-from wkernels.light_map import LightMap
+from wkernels.light_map import BY_DEPTH, BY_MARGIN, FIRST_INSIDE, LightMap
 from wkernels.raster import Rasteriser
-from wkernels.views import HostView
+from wkernels.views import HostView, ProjectiveView
 
 
 @wp.kernel
@@ -68,9 +68,27 @@ def draw_light_map(
     out.right_ws, out.up_ws = axes("right_ws"), axes("up_ws")
     out.layers, out.resolution = layers, resolution
     out.light_ws, out.near = wp.vec4(*light_ws), views[0].near
+    _choose_layers(out, views, device)
     for layer, view in enumerate(views):
         rasteriser.draw(geometry.points_ws, geometry.caster_indices, view.to_device(), out.depth[layer], triangle, cull)
         if triangle is not None:
             inputs = [triangle, geometry.triangle_mesh, geometry.mesh_flags, layer]
             launch(tag_moving, triangle.shape, inputs, [out.depth], device=device, threads=rasteriser.threads)
     return out
+
+
+def _choose_layers(out: LightMap, views: Sequence[HostView], device: str) -> None:
+    choices = [view.choice for view in views if isinstance(view, ProjectiveView) and view.choice is not None]
+    out.selection = int(BY_MARGIN)
+    if len(views) == 1 or len(choices) < len(views):
+        out.split_far = wp.zeros(1, dtype=float, device=device)
+        return
+    out.selection = int(BY_DEPTH if choices[0].rule == "depth" else FIRST_INSIDE)
+    out.eye_row = wp.vec4(*choices[0].eye_row)
+    out.split_far = wp.array([choice.far for choice in choices], dtype=float, device=device)
+
+
+def views_stamp(views: Sequence[HostView]) -> tuple[bytes, tuple]:
+    """What a map's content depends on of its views, comparable."""
+    choices = tuple(view.choice for view in views if isinstance(view, ProjectiveView))
+    return np.stack([view.ws_to_ss for view in views]).tobytes(), choices
