@@ -2,35 +2,191 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
-from algorithms.projection import fits
-from wkernels.errors import InputError, nearest
-from wkernels.frame import LightViews
+import numpy as np
 
-SPLIT_KEYS = frozenset({"scheme", "lambda", "selection", "storage"})
-"""Keys that say how several splits are spaced, chosen and stored: without effect while there is one."""
+from algorithms.projection import Fit, Stabiliser, Warp, fits, stabilisers, warps
+from wkernels.clipping import clip_polyhedron
+from wkernels.errors import InputError, nearest
+from wkernels.focusing import LightSpace, depth_range, fitted_view, light_space, projective_view, warp_shape
+from wkernels.frame import LightViews
+from wkernels.geometry import Bounds
+from wkernels.light_views import scene_views
+from wkernels.splits import SCHEMES, pseudo_planes, shares_of_split, split_borders
+from wkernels.views import HostView, LayerChoice
+
+DEFAULTS: Mapping[str, Any] = {
+    "fit": "scene",
+    "warp": "none",
+    "warp_distance": None,
+    "warp_centre": "view_vector",
+    "splits": 1,
+    "scheme": "practical",
+    "lambda": 0.5,
+    "pseudo_near": 0.0,
+    "pseudo_far": 0.0,
+    "selection": "depth",
+    "storage": "separate",
+    "stabilise": "none",
+}
+MAX_SPLITS = 16
+_STORED = {"cube6": 6, "atlas4": 4, "atlas9": 9, "atlas16": 16}
 
 
 def compose(settings: Mapping[str, Any] | None = None) -> LightViews:
     """The projection that a mapping with the keys of an experiment file's ``projection`` stands for.
 
     Args:
-        settings: ``fit``, ``warp``, ``splits``, ``stabilise`` and the keys of ``SPLIT_KEYS``; what is left out is the
-            plainest value (``scene``, ``none``, 1, ``none``).
+        settings: Keys of ``DEFAULTS``; what is left out is the plainest value.
 
     Raises:
-        InputError: An unknown key, or a value that does not exist; the message lists those that do.
+        InputError: An unknown key, a value that does not exist, or parts that make no sense together, with the reason.
     """
-    settings = dict(settings or {})
-    table = fits()
-    known: dict[str, list[Any]] = {"fit": list(table), "warp": ["none"], "splits": [1], "stabilise": ["none"]}
-    for key, value in settings.items():
-        if key not in known and key not in SPLIT_KEYS:
-            raise InputError(f"is not a known key.{nearest(str(key), [*known, *SPLIT_KEYS])}", key=f"projection.{key}")
+    given = dict(settings or {})
+    for key in given:
+        if key not in DEFAULTS:
+            raise InputError(f"is not a known key.{nearest(str(key), DEFAULTS)}", key=f"projection.{key}")
+    chosen = {**DEFAULTS, **given}
+    tables: dict[str, Any] = {"fit": fits(), "warp": warps(), "stabilise": {"none": None, **stabilisers()}}
+    choices: dict[str, list[Any]] = {
+        **{key: list(table) for key, table in tables.items()},
+        "splits": list(range(1, MAX_SPLITS + 1)),
+        "scheme": list(SCHEMES),
+        "selection": ["depth", "best"],
+        "storage": ["separate", "array", *_STORED],
+        "warp_centre": ["view_vector", "vertex"],
+    }
+    for key, values in choices.items():
         # a bool compares equal to 1 and is no number of splits
-        if key in known and (isinstance(value, bool) or value not in known[key]):
-            choices = ", ".join(str(choice) for choice in known[key])
-            raise InputError(f"{value!r} is not available; available: {choices}.", key=f"projection.{key}")
-    return table[settings.get("fit", "scene")]().views
+        if isinstance(chosen[key], bool) or chosen[key] not in values:
+            shown = f"1 to {MAX_SPLITS}" if key == "splits" else ", ".join(str(value) for value in values)
+            raise InputError(f"{chosen[key]!r} is not available; available: {shown}.", key=f"projection.{key}")
+    fit: Fit = tables["fit"][chosen["fit"]]()
+    _check_together(chosen, fit)
+    if not fit.follows_eye:
+        return fit.views
+    stabiliser = tables["stabilise"][chosen["stabilise"]]
+    return Composition(fit, tables["warp"][chosen["warp"]](), stabiliser() if stabiliser else None, chosen)
+
+
+def _check_together(chosen: Mapping[str, Any], fit: Fit) -> None:
+    """Refuses compositions that make no sense."""
+
+    def refuse(key: str, why: str) -> InputError:
+        return InputError(why, key=f"projection.{key}")
+
+    if not fit.follows_eye:
+        tight = ", ".join(name for name, cls in fits().items() if cls.follows_eye)
+        for key in ("warp", "splits", "stabilise"):
+            if chosen[key] != DEFAULTS[key]:
+                why = (
+                    f"{chosen[key]!r} needs a fit that follows the eye ({tight}); '{fit.name}' covers the whole scene."
+                )
+                raise refuse(key, why)
+    if chosen["stabilise"] != "none" and chosen["warp"] != "none":
+        why = "cannot stabilise a warp, whose texels differ in size and move with the eye; a temporal technique can."
+        raise refuse("stabilise", why)
+    if (chosen["warp"] == "arbitrary") != (chosen["warp_distance"] is not None):
+        why = "is required by the warp 'arbitrary'." if chosen["warp"] == "arbitrary" else "needs the warp 'arbitrary'."
+        raise refuse("warp_distance", why)
+    for key in ("pseudo_near", "pseudo_far"):
+        if chosen[key] and chosen["scheme"] != "pseudo":
+            raise refuse(key, "needs the scheme 'pseudo'.")
+    if chosen["pseudo_near"] + chosen["pseudo_far"] >= 1.0:
+        raise refuse("pseudo_near", "pseudo_near and pseudo_far together must be less than 1.")
+    slots = _STORED.get(chosen["storage"])
+    if slots is not None and chosen["splits"] > 1:
+        if chosen["splits"] > slots or (chosen["storage"] == "cube6" and chosen["splits"] != slots):
+            raise refuse(
+                "storage", f"{chosen['storage']!r} has {slots} places, which {chosen['splits']} splits do not fit."
+            )
+        raise refuse("storage", f"{chosen['storage']!r} is not available yet; available: separate, array.")
+
+
+class Composition:
+    """A fit that follows the eye, with a warp, splits and a stabiliser; callable as ``wkernels.frame.LightViews``.
+
+    Args:
+        fit, warp, stabiliser: The parts; None where nothing is stabilised.
+        settings: All keys of ``DEFAULTS``, checked.
+    """
+
+    def __init__(self, fit: Fit, warp: Warp, stabiliser: Stabiliser | None, settings: Mapping[str, Any]) -> None:
+        self.fit, self.warp, self.stabiliser, self.settings = fit, warp, stabiliser, dict(settings)
+
+    def __call__(
+        self, light_ws: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int, eye: HostView
+    ) -> list[HostView]:
+        """One view per split that has something to cover, nearest first; the whole scene's where none has.
+
+        Raises:
+            InputError: A stabiliser with a point light.
+        """
+        if self.stabiliser is not None and light_ws[3] != 0.0:
+            raise InputError(
+                "needs a directional light: other maps have no constant texels.", key="projection.stabilise"
+            )
+        whole = self.fit.body(receivers, eye)
+        scene = Bounds()
+        scene.add(np.concatenate([receivers.corners, casters.corners]))
+        space = None
+        if not whole.is_empty:
+            turned = self.stabiliser is None
+            space = light_space(light_ws, whole.vertices, scene, eye, turned=turned)
+        if space is None:  # nothing is seen, or the light is amid what is seen: no plane map holds it
+            return scene_views(light_ws, receivers, casters, resolution)
+        views: list[HostView] = []
+        adjusts = self.stabiliser is None or self.stabiliser.adjusts
+        near, far = depth_range(whole.vertices, eye) if adjusts else (eye.near, eye.far)
+        borders = self._borders(near, far)
+        row = (*eye.forward_ws, -float(eye.forward_ws @ eye.eye_ws))
+        for i, (begin, end) in enumerate(itertools.pairwise(borders)):
+            body = whole
+            if len(borders) > 2:
+                ahead = np.array(row)
+                body = clip_polyhedron(whole, np.stack([ahead - (0, 0, 0, begin), (0, 0, 0, end) - ahead]))
+            if body.is_empty:
+                continue
+            last = i == len(borders) - 2
+            choice = LayerChoice(self.settings["selection"], row, np.inf if last else float(end))
+            part = replace(eye, near=float(begin), far=float(end))
+            planes = pseudo_planes(near, far, self.settings["pseudo_near"], self.settings["pseudo_far"])
+            shares = shares_of_split(borders, i, planes)
+            views.append(self._view(space, body.vertices, part, resolution, choice, shares))
+        return views or scene_views(light_ws, receivers, casters, resolution)
+
+    def _borders(self, near: float, far: float) -> np.ndarray:
+        settings = self.settings
+        if far <= near * (1.0 + 1e-9):  # flat across the view: nothing to split
+            return np.array([near, far])
+        shares = settings["pseudo_near"], settings["pseudo_far"]
+        return split_borders(near, far, settings["splits"], settings["scheme"], settings["lambda"], *shares)
+
+    def _view(
+        self,
+        space: LightSpace,
+        body: np.ndarray,
+        eye: HostView,
+        resolution: int,
+        choice: LayerChoice,
+        shares: tuple[float, float],
+    ) -> HostView:
+        if self.stabiliser is not None:
+            left, right, bottom, top = self.stabiliser.window(space, body, eye, resolution)
+            rows = space.rows
+            rows[0] = (2.0 * rows[0] - (right + left) * rows[3]) / (right - left)
+            rows[1] = (2.0 * rows[1] - (top + bottom) * rows[3]) / (top - bottom)
+            return projective_view(space, rows, resolution, choice)
+        given = {"pseudo_near": shares[0], "pseudo_far": shares[1], "distance": self.settings["warp_distance"]}
+        shape = warp_shape(space, body, eye, **given)
+        distance = self.warp.bounded_distance(shape)
+        depth = (body - eye.eye_ws) @ eye.forward_ws
+        # the point with the nearest corner's depth on the view vector moves as the eye does; the corner itself jumps
+        centre = eye.eye_ws + float(depth.min()) * eye.forward_ws
+        if self.settings["warp_centre"] == "vertex":
+            centre = body[int(np.argmin(depth))]
+        return fitted_view(space, body, resolution, distance, centre if np.isfinite(distance) else None, choice)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import importlib
 import inspect
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -19,11 +18,14 @@ import numpy as np
 
 from wkernels.clipping import ConvexBody
 from wkernels.errors import InputError
+from wkernels.focusing import LightSpace, WarpShape
 from wkernels.geometry import Bounds
 from wkernels.views import HostView
 
 LEAST_ANGLE = np.radians(1.0)
 """Between light and view direction: below it the frusta duel and nothing is better than no warp."""
+
+__all__ = ["Fit", "Stabiliser", "Warp", "WarpShape", "fits", "stabilisers", "warps"]
 
 FOLDER = Path(__file__).parent / "projections"
 
@@ -75,33 +77,6 @@ class Fit(Plugin):
         raise NotImplementedError
 
 
-@dataclass(frozen=True)
-class WarpShape:
-    """What a warp's strength may depend on; lengths in scene units but for ``extent``.
-
-    Attributes:
-        near, far: Eye depths of what is covered.
-        z_0, z_1: Eye depths of two points ``extent`` apart along the map's v axis, on the first and the last of what is
-            covered (Wimmer and Scherzer 2006); equal to near and far under overhead light.
-        extent: Extent along v in map units, d.
-        half_fov: Half the eye's field of view in the plane of view and light direction, radians.
-        gamma: Angle between light and view direction, folded to 0 .. pi/2, radians.
-        pseudo_near, pseudo_far: Shares of the depth range before and behind the pseudo planes (Stingl 2011, 4.2).
-        distance: n' of ``arbitrary``, as a multiple of ``extent``; None where it is not given.
-    """
-
-    near: float
-    far: float
-    z_0: float
-    z_1: float
-    extent: float
-    half_fov: float
-    gamma: float = 0.5 * np.pi
-    pseudo_near: float = 0.0
-    pseudo_far: float = 0.0
-    distance: float | None = None
-
-
 class Warp(Plugin):
     """Decides how strongly texels are moved towards the eye."""
 
@@ -122,15 +97,26 @@ class Warp(Plugin):
 
 
 class Stabiliser(Plugin):
-    """Keeps the texels of an unwarped directional view where they were as the eye moves."""
+    """Keeps the texels of an unwarped directional view where they were as the eye moves.
+
+    Attributes:
+        adjusts: Whether the depth range may follow what the eye sees.
+    """
+
+    adjusts: ClassVar[bool]
 
     @abstractmethod
-    def stabilise(self, view: HostView, eye: HostView) -> HostView:
-        """The view with another window.
+    def window(self, space: LightSpace, body: np.ndarray, eye: HostView, resolution: int) -> np.ndarray:
+        """What the view covers instead of a tight fit.
 
         Args:
-            view: An orthographic view, fitted to the receivers in the eye's view.
+            space: The light's axes, which do not depend on the eye.
+            body: Corners of what must be covered, rebased world (n, 3).
             eye: The eye's view, its depth range that of the split.
+            resolution: Texels per side.
+
+        Returns:
+            (left, right, bottom, top) in map units.
         """
 
 

@@ -150,13 +150,12 @@ def box_polyhedron(lo: np.ndarray, hi: np.ndarray) -> ConvexBody:
 
 def view_polyhedron(view: HostView) -> ConvexBody:
     """What ``view`` sees between its near and far plane, in world space."""
-    left, right, bottom, top = view.window
+    x, y, depth, w = view.ws_to_ss
     corners = []
     for i in range(8):
-        depth = view.far if i & 4 else view.near
-        spread = depth if view.perspective else 1.0
-        side = (right if i & 1 else left) * view.right_ws + (top if i & 2 else bottom) * view.up_ws
-        corners.append(view.eye_ws + depth * view.forward_ws + spread * side)
+        at_x, at_y, at_depth = (1.0 if i & 1 else -1.0), (1.0 if i & 2 else -1.0), view.far if i & 4 else view.near
+        planes = np.stack([x - at_x * w, y - at_y * w, depth])
+        corners.append(np.linalg.solve(planes[:, :3], np.array([0.0, 0.0, at_depth]) - planes[:, 3]))
     mirrored = np.linalg.det(np.stack([view.right_ws, view.up_ws, view.forward_ws])) < 0.0
     order = -1 if mirrored else 1
     return ConvexBody(tuple(np.array([corners[i] for i in face[::order]]) for face in _BOX_FACES))

@@ -21,7 +21,7 @@ from wkernels.frame_result import G_BUFFER, SHADING, FrameResult, read_back
 from wkernels.geometry import Bounds, Geometry
 from wkernels.launch import launch, wake_workers
 from wkernels.light_map import LightMap
-from wkernels.light_map_drawing import draw_light_map
+from wkernels.light_map_drawing import draw_light_map, views_stamp
 from wkernels.light_samples import LightSamples
 from wkernels.light_views import scene_views
 from wkernels.lights import Light
@@ -343,7 +343,7 @@ class Session:
         key: Hashable = ("map", slot, resolution, cull, tag_moving_casters)
         if key not in self._products and self._map_bytes() + 4 * resolution**2 * len(views) > MAP_BUDGET_BYTES:
             key = ("map", "shared", resolution, cull, tag_moving_casters)
-        inputs = (self.geometry.version, np.stack([view.ws_to_ss for view in views]).tobytes())
+        inputs = (self.geometry.version, views_stamp(views))
         triangle = self.buffer("map triangles", (resolution, resolution), wp.int32) if tag_moving_casters else None
 
         def build(old: LightMap | None) -> LightMap:

@@ -11,6 +11,8 @@ import warp as wp
 
 BIAS_KINDS = ("none", "constant", "slope", "back_face", "slope_back_face", "normal")
 BIAS_NONE, BIAS_CONSTANT, BIAS_SLOPE, BIAS_NORMAL = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
+BY_MARGIN, BY_DEPTH, FIRST_INSIDE = wp.constant(0), wp.constant(1), wp.constant(2)
+FILTER_TEXELS = wp.constant(4.0)  # a finer layer is taken only this far inside its border, where filters have room
 ROUNDING = wp.constant(2.0e-6)  # relative: what float32 loses between the map's depth and the receiver's
 
 
@@ -26,6 +28,9 @@ class LightMap:
     resolution: int
     light_ws: wp.vec4  # the light sample: a point (w = 1) or the direction towards the light (w = 0)
     near: float  # linear depth of the near plane
+    selection: int  # which layer a receiver reads: BY_MARGIN, BY_DEPTH or FIRST_INSIDE
+    eye_row: wp.vec4  # eye depth of a position p is dot(eye_row, (p, 1)); for BY_DEPTH
+    split_far: wp.array(dtype=float)  # (layers,) eye depth at which a layer's split ends; for BY_DEPTH
 
 
 @wp.struct
@@ -58,10 +63,38 @@ def to_light(light_ws: wp.vec4, position_ws: wp.vec3):
 
 
 @wp.func
+def to_split(light_map: LightMap, position_ws: wp.vec3):
+    """The first layer that holds a position and, BY_DEPTH, whose split has not ended before it; or -1.
+
+    A position that no layer holds with room for a filter reads the last one that holds it at all.
+    """
+    position = wp.vec4(position_ws[0], position_ws[1], position_ws[2], 1.0)
+    by_depth = light_map.selection == BY_DEPTH
+    eye_depth = wp.dot(light_map.eye_row, position)
+    room = 2.0 * FILTER_TEXELS / float(light_map.resolution)
+    best = int(-1)
+    reserve = int(-1)
+    for layer in range(light_map.layers):
+        h = light_map.ws_to_ls[layer] * position
+        if best < 0 and h[3] > 0.0:
+            inside = 1.0 - wp.max(wp.abs(h[0]), wp.abs(h[1])) / h[3]
+            if inside >= 0.0:
+                reserve = layer
+                if by_depth:
+                    if eye_depth < light_map.split_far[layer]:
+                        best = layer
+                elif inside >= room:
+                    best = layer
+    return wp.where(best >= 0, best, reserve)
+
+
+@wp.func
 def to_layer(light_map: LightMap, position_ws: wp.vec3):
-    """The layer that holds a position most centrally, or -1."""
+    """The layer that a position is looked up in, or -1: ``light_map.selection`` of those that hold it."""
     best = int(-1)
     margin = float(0.0)
+    if light_map.selection != BY_MARGIN:
+        return to_split(light_map, position_ws)
     for layer in range(light_map.layers):
         h = light_map.ws_to_ls[layer] * wp.vec4(position_ws[0], position_ws[1], position_ws[2], 1.0)
         if h[3] > 0.0:

@@ -10,9 +10,9 @@ import warp as wp
 from wkernels.geometry import MOVES, Geometry
 from wkernels.lanes import LANES, Floats, Ints, runs_of, uses_lanes
 from wkernels.launch import launch
-from wkernels.light_map import LightMap
+from wkernels.light_map import BY_DEPTH, BY_MARGIN, FIRST_INSIDE, LightMap
 from wkernels.raster import Rasteriser
-from wkernels.views import HostView
+from wkernels.views import HostView, ProjectiveView
 
 
 @wp.kernel
@@ -92,6 +92,7 @@ def draw_light_map(
     out.right_ws, out.up_ws = axes("right_ws"), axes("up_ws")
     out.layers, out.resolution = layers, resolution
     out.light_ws, out.near = wp.vec4(*light_ws), views[0].near
+    _choose_layers(out, views, device)
     device_views = [view.to_device() for view in views]
     if triangle is None:
         rasteriser.draw_many(geometry.points_ws, geometry.caster_indices, device_views, out.depth, cull=cull)
@@ -115,3 +116,20 @@ def _tag_moving(depth: wp.array, layer: int, geometry: Geometry, triangle: wp.ar
         # the last two runs overlap: one thread does them one after the other
         threads = 1
     launch(tag_moving_lanes, runs, inputs, [runs_of(depth[layer], Floats)], device=device, threads=threads)
+
+
+def _choose_layers(out: LightMap, views: Sequence[HostView], device: str) -> None:
+    choices = [view.choice for view in views if isinstance(view, ProjectiveView) and view.choice is not None]
+    out.selection = int(BY_MARGIN)
+    if len(views) == 1 or len(choices) < len(views):
+        out.split_far = wp.zeros(1, dtype=float, device=device)
+        return
+    out.selection = int(BY_DEPTH if choices[0].rule == "depth" else FIRST_INSIDE)
+    out.eye_row = wp.vec4(*choices[0].eye_row)
+    out.split_far = wp.array([choice.far for choice in choices], dtype=float, device=device)
+
+
+def views_stamp(views: Sequence[HostView]) -> tuple[bytes, tuple]:
+    """What a map's content depends on of its views, comparable."""
+    choices = tuple(view.choice for view in views if isinstance(view, ProjectiveView))
+    return np.stack([view.ws_to_ss for view in views]).tobytes(), choices

@@ -136,10 +136,15 @@ def perspective_aliasing(
     points = eye.eye_ws + z[:, None] * eye.forward_ws
     pixel = z * (eye.window[3] - eye.window[2]) / eye.height
     m_x, m_z = np.full(steps, np.nan), np.full(steps, np.nan)
+    taken = np.zeros(steps, dtype=bool)
     for view in light_views:
         rows = view.ws_to_ss
         h = points @ rows[:, :3].T + rows[:, 3]
         inside = (h[:, 3] > 0) & (np.abs(h[:, 0]) <= h[:, 3]) & (np.abs(h[:, 1]) <= h[:, 3])
+        choice = getattr(view, "choice", None)
+        if choice is not None:  # as receivers choose: the first layer, with depth the first whose split has not ended
+            inside &= ~taken & (z < choice.far if choice.rule == "depth" else True)
+            taken |= inside
         with np.errstate(divide="ignore", invalid="ignore"):
             ndc = h[:, :2] / h[:, 3:]
             gradient = (rows[None, :2, :3] - ndc[:, :, None] * rows[None, 3:, :3]) / h[:, 3, None, None]

@@ -53,7 +53,7 @@ def shares_of_split(borders: np.ndarray, index: int, planes: tuple[float, float]
 
     The near one concerns the first split only and the far one the last (Stingl 2011, section 4.2); 0 for the others.
     """
-    length = borders[index + 1] - borders[index]
+    length = borders[index + 1] - borders[index] or 1.0  # without any length there is nothing before or behind
     before = (planes[0] - borders[index]) / length if index == 0 else 0.0
     behind = (borders[index + 1] - planes[1]) / length if index == len(borders) - 2 else 0.0
     return float(before), float(behind)

@@ -7,7 +7,8 @@ views; depth keeps its precision whatever near and far are.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 import warp as wp
@@ -91,6 +92,45 @@ class HostView:
             out.origin_ws = wp.vec3(*(self.eye_ws + corner))
             out.base_dx_ws, out.base_dy_ws = wp.vec3(*(step_x * self.right_ws)), wp.vec3(*(step_y * self.up_ws))
             out.along_ws, out.along_dx_ws, out.along_dy_ws = wp.vec3(*self.forward_ws), wp.vec3(*zero), wp.vec3(*zero)
+        out.near, out.far, out.width, out.height = self.near, self.far, self.width, self.height
+        return out
+
+
+@dataclass(frozen=True)
+class LayerChoice:
+    """How receivers choose among the layers of a light map.
+
+    Attributes:
+        rule: ``depth``: the first layer whose ``far`` lies beyond the receiver's eye depth; ``best``: the first that
+            holds the receiver, nearer splits being finer. Without a choice: the layer that holds it most centrally.
+        eye_row: Eye depth of a position p is ``eye_row @ (p, 1)``, float64 (4,).
+        far: Eye depth at which the layer's split ends, scene units.
+    """
+
+    rule: Literal["depth", "best"]
+    eye_row: tuple[float, float, float, float]
+    far: float
+
+
+@dataclass(frozen=True, eq=False)
+class ProjectiveView(HostView):
+    """A light's view with any matrix: warped ones too. Its pixels have no rays, so it is for light maps only.
+
+    Attributes:
+        rows: float64 (4, 4), rows x, y, linear depth, w; stands in for ``window``.
+        choice: None where the receivers' place in the layers decides.
+    """
+
+    rows: np.ndarray = field(default_factory=lambda: np.eye(4))
+    choice: LayerChoice | None = None
+
+    @property
+    def ws_to_ss(self) -> np.ndarray:
+        return self.rows
+
+    def to_device(self) -> View:
+        out = View()
+        out.ws_to_ss = wp.mat44(*self.rows.astype(np.float32).ravel())
         out.near, out.far, out.width, out.height = self.near, self.far, self.width, self.height
         return out
 

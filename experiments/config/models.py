@@ -32,10 +32,14 @@ class Projection(StrictModel):
     """How light views are laid over the scene; the default of every technique that reads a shadow map.
 
     Attributes:
-        fit: What the light view is fitted to; a file of ``algorithms/projections``.
+        fit: What the light view is fitted to; a file of ``algorithms/projections/fits``.
         warp: Reparametrisation towards the eye.
+        warp_distance: n' of the warp ``arbitrary``, as a multiple of what a split covers along the view.
+        warp_centre: What a warp is centred on: the view vector, or the corner nearest to the eye, which jumps.
         splits: Number of depth splits of the view frustum, 1 to 16.
         scheme: How the splits are spaced.
+        pseudo_near, pseudo_far: Shares of the depth range before and behind the planes that the scheme ``pseudo`` looks
+            between; their sum is less than 1.
         lambda_: Key ``lambda``: 0 = uniform, 1 = logarithmic spacing of the ``practical`` scheme.
         selection: Which split a receiver reads.
         storage: How the splits' maps are stored; never changes the picture.
@@ -44,9 +48,13 @@ class Projection(StrictModel):
 
     fit: str = "scene"
     warp: WarpName = "none"
+    warp_distance: float | None = Field(None, gt=0.0)
+    warp_centre: Literal["view_vector", "vertex"] = "view_vector"
     splits: int = Field(1, ge=1, le=16)
     scheme: Scheme = "practical"
     lambda_: Fraction = Field(0.5, alias="lambda")
+    pseudo_near: Fraction = 0.0
+    pseudo_far: Fraction = 0.0
     selection: Literal["depth", "best"] = "depth"
     storage: Literal["separate", "array", "cube6", "atlas4", "atlas9", "atlas16"] = "separate"
     stabilise: Literal["none", "exact", "approximate"] = "none"

@@ -11,7 +11,7 @@ import pytest
 import experiments
 from algorithms.composition import compose
 from algorithms.plugins import load_all
-from algorithms.projection import FOLDER, fits, warps
+from algorithms.projection import FOLDER, fits, stabilisers, warps
 from experiments import reference_visibility, render_visibility
 from experiments.scenes import load_scene
 from wkernels.errors import InputError
@@ -146,11 +146,24 @@ def test_composed_projection_reaches_the_light_map() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"fit": "focused"}, r"projection.fit: 'focused' is not available; available: scene"),
-        ({"warp": "psm"}, r"projection.warp: 'psm' is not available; available: none"),
-        ({"splits": 4}, r"projection.splits: 4 is not available; available: 1"),
+        ({"fit": "tight"}, r"projection.fit: 'tight' is not available; available: focused, scene"),
+        ({"warp": "psn"}, r"projection.warp: 'psn' is not available; available: arbitrary, lispsm_nopt"),
+        ({"warp": "psm"}, r"projection.warp: 'psm' needs a fit that follows the eye \(focused\)"),
+        ({"splits": 4}, r"projection.splits: 4 needs a fit that follows the eye"),
+        ({"fit": "focused", "splits": 17}, r"projection.splits: 17 is not available; available: 1 to 16"),
         ({"splits": True}, r"projection.splits: True is not available"),
-        ({"stabilise": "exact"}, r"projection.stabilise: 'exact' is not available"),
+        ({"stabilise": "exact"}, r"projection.stabilise: 'exact' needs a fit that follows the eye"),
+        ({"fit": "focused", "warp": "psm", "stabilise": "exact"}, r"projection.stabilise: cannot stabilise a warp"),
+        ({"fit": "focused", "splits": 5, "storage": "cube6"}, r"projection.storage: 'cube6' has 6 places"),
+        ({"fit": "focused", "splits": 5, "storage": "atlas4"}, r"projection.storage: 'atlas4' has 4 places"),
+        ({"fit": "focused", "splits": 4, "storage": "atlas4"}, r"'atlas4' is not available yet"),
+        ({"fit": "focused", "warp": "arbitrary"}, r"projection.warp_distance: is required by"),
+        ({"fit": "focused", "warp_distance": 2.0}, r"projection.warp_distance: needs the warp 'arbitrary'"),
+        ({"fit": "focused", "pseudo_far": 0.1}, r"projection.pseudo_far: needs the scheme 'pseudo'"),
+        (
+            {"fit": "focused", "scheme": "pseudo", "pseudo_near": 0.4, "pseudo_far": 0.6},
+            r"projection.pseudo_near: pseudo_near and pseudo_far together must be less than 1",
+        ),
         ({"ftt": "scene"}, r"projection.ftt: is not a known key. Did you mean 'fit'"),
     ],
 )
@@ -160,7 +173,7 @@ def test_projection_table_says_what_exists(settings: dict[str, Any], message: st
 
 
 def test_projection_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for folder, table in (("fits", fits()), ("warps", warps())):
+    for folder, table in (("fits", fits()), ("warps", warps()), ("stabilisers", stabilisers())):
         assert set(table) == {path.stem for path in (FOLDER / folder).glob("*.py")} - {"__init__"}
         assert table and all(part.name == name and part.paper for name, part in table.items())
     (tmp_path / "fits").mkdir()
@@ -180,7 +193,7 @@ def test_projection_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         ({"params": {"resolution": "512"}}, "params.resolution: must be a whole number"),
         ({"params": {"bias_slope": float("nan")}}, "params.bias_slope"),
         ({"projection": {"fit": "tight"}}, "projection.fit: 'tight' is not"),
-        ({"projection": {"splits": 4}}, "projection.splits: 4 is not available"),
+        ({"projection": {"splits": 4}}, "projection.splits: 4 needs a fit that follows the eye"),
         ({"projection": {"split": 1}}, "projection.split: is not a known key. Did you mean 'splits'"),
         ({"width": 0}, "width: must be a whole number from 1 to 16384, not 0"),
         ({"height": -3}, "height: must be a whole number from 1"),
