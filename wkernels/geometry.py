@@ -88,7 +88,7 @@ class Geometry:
         placed = [_place(mesh, 0) for mesh in self.meshes]
         box = Bounds()
         for vertices in placed:
-            box.add(vertices)
+            box.add(_finite(vertices))  # or one broken vertex would take the whole scene with it
         self.origin_ws = np.zeros(3) if box.empty else 0.5 * (box.low + box.high)
         placed = [vertices - self.origin_ws for vertices in placed]
         self._boxes = [_box(vertices) for vertices in placed]
@@ -165,8 +165,12 @@ class Geometry:
 
 def _box(vertices: np.ndarray) -> Bounds:
     box = Bounds()
-    box.add(vertices[np.isfinite(vertices).all(axis=1)])
+    box.add(_finite(vertices))
     return box
+
+
+def _finite(vertices: np.ndarray) -> np.ndarray:
+    return vertices[np.isfinite(vertices).all(axis=1)]
 
 
 def _place(mesh: Mesh, frame: int) -> np.ndarray:

@@ -1,9 +1,8 @@
 """Launches: one kernel spread in tiles over CPU threads, or one plain launch on CUDA.
 
-Warp runs a CPU launch on the calling thread and releases the GIL while it does, so threads that each launch a part of
-the grid scale almost linearly. Every kernel of this project takes ``first: int`` as its first argument, the offset of
-its tile along the first launch axis, and must write only what its own grid cells own: then the result cannot depend on
-the number of threads.
+Warp runs a CPU launch on the calling thread; ``workers`` has other threads take tiles of it. Every kernel of this
+project takes ``first: int`` as its first argument, the offset of its tile along the first launch axis, and must write
+only what its own grid cells own: then the result cannot depend on the number of threads.
 """
 
 from __future__ import annotations

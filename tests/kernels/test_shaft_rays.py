@@ -97,7 +97,7 @@ def test_degenerate_casters_hide_nothing_and_break_nothing() -> None:
     )
     broken = small_scenes.mesh("broken", (corners, np.arange(9, dtype=np.int32).reshape(3, 3)), receives=False)
     shafts, _, _ = both(small_scenes.scene([ground, broken], lamp), 80)
-    assert (shafts == 80).all()
+    assert len(shafts) > 1000 and (shafts == 80).all()
 
 
 def test_groups_of_samples_are_compact() -> None:
