@@ -41,7 +41,7 @@ class AliasFree(Technique):
             unit="cells",
             source="fastest on paris, winter and overlap at 640 x 360",
             ge=1,
-            le=8192,
+            le=4096,
         )
 
     def render(self, frame: Frame) -> wp.array:

@@ -8,9 +8,11 @@ is interpolated, and the size of the cells changes the cost but not the result.
 - ``grid``: light coordinates of points, and the grids of the light's faces;
 - ``samples``: pixels to samples, sorted by cell; chunks of the image count for themselves, so that the order of the
   samples does not depend on the number of threads;
-- ``casters``: the cells that a triangle touches, and the triangles of each band of rows;
+- ``casters``: the cells that a triangle touches, whether they hold a receiver, and the triangles of each band of rows;
 - ``occlusion``: the exact test, one pixel at a time;
-- ``lanes``: the same on the CPU, a run of samples at a time.
+- ``pixel_lanes``, ``caster_lanes``, ``lanes``: projection, bounds and test on the CPU, many at a time. On the CPU each
+  band is one thread's: it owns its rows' samples, and the pixels they came from. On CUDA each pixel goes through its
+  band's triangles.
 """
 
 from __future__ import annotations
@@ -70,7 +72,7 @@ def find_hidden(frame: Session, gbuffer: GBuffer, resolution: int, visibility_ou
     Args:
         frame: Scene, light and memory; it must have casters.
         gbuffer: The pixels.
-        resolution: Cells per side of the grid of each of the light's faces, 1 to 8192.
+        resolution: Cells per side of the grid of each of the light's faces, 1 to 4096.
         visibility_out: float32 (H, W), 1 where there is no receiver.
     """
     light_ws = frame.light.centre
@@ -104,7 +106,7 @@ def find_hidden(frame: Session, gbuffer: GBuffer, resolution: int, visibility_ou
         return
     with frame.timed("sort pixels"):
         on_device = _upload(faces, frame.device)
-        samples = _sort(frame, on_device, places, row_of_pixel)
+        samples = _sort(frame, on_device, resolution, places, row_of_pixel)
     for k in used:
         with frame.timed("bound casters"):
             boxes = _bound_casters(frame, faces[k], samples)
@@ -161,9 +163,8 @@ class _Bands:
     shift: int
 
 
-def _sort(frame: Session, faces: wp.array, places: Places, row_of_pixel: wp.array) -> _Samples:
+def _sort(frame: Session, faces: wp.array, resolution: int, places: Places, row_of_pixel: wp.array) -> _Samples:
     """Samples in the order of their cells, each row with its padding."""
-    resolution = int(faces.numpy()["resolution"][0])
     rows, pixels = len(faces) * resolution, row_of_pixel.size
     counts = frame.buffer("sample counts", (rows, CHUNKS), wp.int32)
     frame.launch(count_rows, CHUNKS, [faces, places, row_of_pixel, CHUNKS], [row_of_pixel, counts])
