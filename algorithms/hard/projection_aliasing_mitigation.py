@@ -1,0 +1,131 @@
+"""Hard shadows smoothed in the eye's view, which hides projection aliasing (Stingl 2011, section 2.2.2).
+
+Where a surface lies almost parallel to the light, few texels of the map fall on it, and their jagged edges show. The
+thesis names three remedies. The one built here is Scherzer 2005's: the result of the shadow test is blurred in eye
+space and then used to scale the light.
+
+1. One depth map and one comparison a pixel, as ``shadow_map``.
+2. The mean of a pixel and of taps around it, over pixels of about the same depth, wherever N.L is below ``cosine``.
+
+The others need no technique: a lower ambient term, so that the diffuse N.L hides the steps (Schwaerzler 2009, section
+2.3.1), is a matter of shading, and adaptive maps are another representation.
+
+Deviations: ``depth_aware`` leaves out neighbours of another depth; the source blurs across everything, which is what
+you get without it.
+Known artefacts: all edges get softer, by the same number of pixels near and far; detail of shadows smaller than the
+filter is lost. Without ``depth_aware`` shadows bleed across the outlines of what stands before them. Acne is smeared,
+not removed.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from algorithms.technique import Limit, MapParams, Technique, setting
+from wkernels.comparison_lanes import compare_nearest_run
+from wkernels.frame import Session as Frame
+from wkernels.gbuffer import GBuffer
+from wkernels.lanes import LANES, runs_per_row, uses_lanes
+from wkernels.light_map import BY_MARGIN, Bias, LightMap, compare_nearest, to_light
+from wkernels.neighbourhood_filter import filter_neighbourhood, pull_opposite_taps
+from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
+from wkernels.receivers import receiver_of_pixel
+
+ANY_DEPTH = 1e30  # as a share of the pixel's own
+
+
+@wp.kernel
+def hide_pixels(first: int, gbuffer: GBuffer, light_map: LightMap, bias: Bias, psi_out: wp.array2d(dtype=float)):
+    """One depth comparison per pixel; 1 where it is in shadow."""
+    row, x = wp.tid()
+    y = first + row
+    receiver = receiver_of_pixel(gbuffer, light_map, bias, y, x)
+    visible = receiver.visible
+    if receiver.layer >= 0:
+        visible = compare_nearest(light_map, receiver)
+    psi_out[y, x] = 1.0 - visible
+
+
+@wp.kernel
+def hide_pixels_lanes(first: int, views: LaneViews, light_map: LightMap, bias: Bias, psi_out: wp.array2d(dtype=float)):
+    """``hide_pixels`` of a run of pixels."""
+    row, column = wp.tid()
+    y = first + row
+    x0 = column * LANES
+    receivers = locate_run(views, light_map, bias, x0, y)
+    visible = compare_nearest_run(views, light_map, receivers)
+    for k in range(wp.min(LANES, psi_out.shape[1] - x0)):
+        psi_out[y, x0 + k] = 1.0 - visible[k]
+
+
+@wp.kernel
+def choose_width(
+    first: int,
+    gbuffer: GBuffer,
+    light_ws: wp.vec4,
+    cosine: float,
+    half_width_px: float,
+    half_width_px_out: wp.array2d(dtype=float),
+):
+    """The filter's half width where the surface is steeper to the light than ``cosine`` says, else 0."""
+    row, x = wp.tid()
+    y = first + row
+    width = float(0.0)
+    if gbuffer.mesh[y, x] >= 0:
+        way = to_light(light_ws, gbuffer.position_ws[y, x])
+        # a cosine of 1 must not leave out what rounding puts above it
+        if wp.abs(wp.dot(gbuffer.normal_ws[y, x], way)) <= 1.000001 * cosine * wp.length(way):
+            width = half_width_px
+    half_width_px_out[y, x] = width
+
+
+class ProjectionAliasingMitigation(Technique):
+    """One map, one comparison a pixel, and a filter over the picture."""
+
+    name = "projection_aliasing_mitigation"
+    family = "hard"
+    paper = ("scherzer2005", "stingl2011", "schwaerzler2009")
+    bias_sign = "none"
+    limits = (Limit(equals="shadow_map", params={"half_width": 0.0}),)
+
+    class Params(MapParams):
+        """The filter."""
+
+        half_width: float = setting(2.0, "radius of the filter", unit="pixels", ge=0.0, le=256.0)
+        taps: int = setting(16, "neighbours looked at, in opposite pairs", unit="taps", ge=2, le=1024, multiple_of=2)
+        cosine: float = setting(
+            1.0,
+            "only surfaces with N.L up to this are smoothed; 1: all",
+            unit="cosine",
+            source="Scherzer 2005",
+            ge=0.0,
+            le=1.0,
+        )
+        depth_aware: bool = setting(True, "leave out neighbours of another depth", unit="yes/no")
+        depth_range: float = setting(
+            0.02, "largest difference of depth, where depths count", unit="share of the pixel's depth", ge=0.0, le=1e3
+        )
+
+    def render(self, frame: Frame) -> wp.array:
+        gbuffer = frame.gbuffer()
+        visibility = frame.visibility_buffer(gbuffer)
+        if frame.nothing_casts(visibility):
+            return visibility
+        p = self.params
+        light_map = frame.light_map(p.resolution, cull=p.cull)
+        taps = pull_opposite_taps(frame, p.taps)
+        psi = frame.buffer("hidden", visibility.shape, wp.float32)
+        width = frame.buffer("filter width", visibility.shape, wp.float32)
+        with frame.timed("compare depth"):
+            inputs = [light_map, p.device_bias]
+            if uses_lanes(frame.device) and light_map.selection == BY_MARGIN:
+                runs = (psi.shape[0], runs_per_row(psi.shape[1]))
+                frame.launch(hide_pixels_lanes, runs, [lane_views(gbuffer, light_map), *inputs], [psi])
+            else:
+                frame.launch(hide_pixels, psi.shape, [gbuffer, *inputs], [psi])
+        with frame.timed("smooth"):
+            inputs = [gbuffer, wp.vec4(*frame.light.centre), p.cosine, p.half_width]
+            frame.launch(choose_width, width.shape, inputs, [width])
+            inputs = [gbuffer, psi, width, taps, p.depth_range if p.depth_aware else ANY_DEPTH]
+            frame.launch(filter_neighbourhood, visibility.shape, inputs, [visibility])
+        return visibility
