@@ -12,6 +12,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+from experiments.config.source import load_yaml
 from experiments.metrics import METRICS
 from experiments.tables import Row, Table, read_table, table_text, write_text
 from wkernels.errors import InputError
@@ -136,7 +137,8 @@ class Store:
             raise InputError(message, file=self.out / "environment.json")
 
     def _clear(self) -> None:
-        names = [f"{name}.csv" for name in (*TABLES, "summary")] + ["report.html", "environment.json", "config.yaml"]
+        names = [f"{name}.csv" for name in (*TABLES, "summary", "published")]
+        names += ["report.html", "environment.json", "config.yaml"]
         for name in names:
             (self.out / name).unlink(missing_ok=True)
         for folder in ("images", "plots", "failures"):
@@ -198,6 +200,17 @@ class Store:
             raise InputError(f"cannot be read ({error}).", file=path) from error
         if not isinstance(data, dict):
             raise InputError("must hold a JSON object.", file=path)
+        return data
+
+    def config(self) -> dict[str, Any]:
+        """config.yaml, the resolved experiment.
+
+        Raises:
+            InputError: It is missing or damaged.
+        """
+        data = load_yaml(self.out / "config.yaml").data
+        if not isinstance(data, dict):
+            raise InputError("must hold a mapping.", file=self.out / "config.yaml")
         return data
 
     def update_environment(self, **changes: Any) -> None:

@@ -11,6 +11,7 @@ import pandas as pd
 
 from experiments import metrics
 from experiments.images import read_exr
+from experiments.published import compare_published, published_of_config, write_published
 from experiments.store import FRAME_COLUMNS, LEFT_OUT_COLUMNS, PASS_COLUMNS, Store
 from experiments.tables import Row, table_text, write_text
 
@@ -117,7 +118,7 @@ def pareto_front(cost: np.ndarray, error: np.ndarray) -> np.ndarray:
 
 
 def write_summary(out: str | Path) -> pd.DataFrame:
-    """Writes summary.csv of a result folder and returns it.
+    """Writes summary.csv of a result folder, published.csv where its entries give figures, and returns the former.
 
     Raises:
         InputError: ``out`` is no result folder.
@@ -126,7 +127,14 @@ def write_summary(out: str | Path) -> pd.DataFrame:
     table = summarise(load_frames(store), store.environment()["run"]["baseline"])
     rows = [{str(key): _yes_no(value) for key, value in row.items()} for row in table.to_dict("records")]
     write_text(store.out / "summary.csv", table_text(SUMMARY_COLUMNS, rows))
+    published = published_of_config(store.config())
+    ours = {str(row["label"]): _numbers(row) for row in table.to_dict("records")}
+    write_published(store.out, compare_published(published, ours, store.environment()["run"]["baseline"]))
     return table
+
+
+def _numbers(row: Row) -> dict[str, float]:
+    return {name: value for name, value in row.items() if isinstance(value, float) and np.isfinite(value)}
 
 
 def _yes_no(value: Any) -> Any:

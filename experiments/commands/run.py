@@ -28,7 +28,9 @@ def run_experiment(
         from experiments.analysis import run_analysis
 
         analysis = load_analysis(config, overrides)
-        print(f"Table: {run_analysis(analysis, out or Path('out') / analysis.name)}")
+        table = run_analysis(analysis, out or Path("out") / analysis.name)
+        _print_published(table.parent)
+        print(f"Table: {table}")
         return
     from experiments.runner import run
 
@@ -50,7 +52,15 @@ def run_experiment(
     except KeyboardInterrupt:
         print(f"\nInterrupted; what is done is in {folder}, --resume continues.", file=sys.stderr)
         raise
+    _print_published(folder)
     print(f"Report: {folder / 'report.html'}")
+
+
+def _print_published(folder: Path) -> None:
+    from experiments.published import published_text, read_published
+
+    if text := published_text(read_published(folder)):
+        print(f"{text}\n")
 
 
 def report_folder(folder: Path) -> None:

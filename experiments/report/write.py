@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from experiments import summary
 from experiments.images import ERROR_SCALE
 from experiments.metrics import METRICS
+from experiments.published import read_published
 from experiments.report import plots, style
 from experiments.report.pictures import error_scale_css, picture_frames
 from experiments.store import Store
@@ -101,6 +102,7 @@ def _page(
         headline=headline(table, run["baseline"]),
         summary=table.to_dict("records"),
         metrics=shown_metrics,
+        published=read_published(store.out),
         reference_error=float(table["reference_standard_error"].median()),
         papers={entry["label"]: ", ".join(entry["paper"]) for entry in run["labels"]},
         svgs=svgs,

@@ -140,8 +140,10 @@ class FakeEngine:
         return eye_view(camera(frame), WIDTH, HEIGHT, np.zeros(3)).ws_to_ss
 
 
-def make_run(label: str, name: str = "flat", **params: Any) -> TechniqueRun:
-    return TechniqueRun(label, name, PLUGINS[name].Params(**params).model_dump())
+def make_run(
+    label: str, name: str = "flat", *, published: dict[str, float] | None = None, **params: Any
+) -> TechniqueRun:
+    return TechniqueRun(label, name, PLUGINS[name].Params(**params).model_dump(), published=published or {})
 
 
 def make_experiment(
