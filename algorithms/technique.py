@@ -120,6 +120,8 @@ class Technique(ABC):
         bias_sign: Sign of the mean error by the method's nature: ``darker``, ``lighter`` or ``none``.
         limits: What it must equal in the limit; tested.
         expected_failures: Conformance checks that the published method cannot pass, each with its reason.
+        stability_limits: Stiff cases (``experiments.stability``) in which the published method breaks by nature, each
+            with its reason.
     """
 
     name: ClassVar[str]
@@ -129,6 +131,7 @@ class Technique(ABC):
     bias_sign: ClassVar[Literal["darker", "lighter", "none"]]
     limits: ClassVar[tuple[Limit, ...]] = ()
     expected_failures: ClassVar[dict[str, str]] = {}
+    stability_limits: ClassVar[dict[str, str]] = {}
     Params: ClassVar[type[Params]] = Params
 
     def __init__(self, params: Params | None = None) -> None:

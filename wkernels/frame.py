@@ -114,6 +114,7 @@ class Session:
         self.light_views: tuple[list[HostView], np.ndarray] | None = None
         self._gbuffers: dict[tuple[int, int], gb.GBuffer] = {}
         self._visit = 0
+        self._map_bytes = 0  # of all light depth maps among the products
         self._camera: Any = None
         self.begin(0)
 
@@ -166,6 +167,7 @@ class Session:
     def reset(self) -> None:
         """Forgets history and products, as before the first frame."""
         self._products.clear()
+        self._map_bytes = 0
         for history in self._histories.values():
             history.valid = False
         self._previous_camera = None
@@ -341,20 +343,18 @@ class Session:
         if light_ws is None or self.light_views is None:
             self.light_views = (views, sample)
         key: Hashable = ("map", slot, resolution, cull, tag_moving_casters)
-        if key not in self._products and self._map_bytes() + 4 * resolution**2 * len(views) > MAP_BUDGET_BYTES:
+        if key not in self._products and self._map_bytes + 4 * resolution**2 * len(views) > MAP_BUDGET_BYTES:
             key = ("map", "shared", resolution, cull, tag_moving_casters)
         inputs = (self.geometry.version, views_stamp(views))
         triangle = self.buffer("map triangles", (resolution, resolution), wp.int32) if tag_moving_casters else None
 
         def build(old: LightMap | None) -> LightMap:
-            return draw_light_map(old, self.geometry, views, sample, self._rasteriser, cull, triangle)
+            made = draw_light_map(old, self.geometry, views, sample, self._rasteriser, cull, triangle)
+            self._map_bytes += 4 * (made.depth.size - (old.depth.size if old else 0))
+            return made
 
         out: LightMap = self.product("light depth map", key, inputs, build)
         return out
-
-    def _map_bytes(self) -> int:
-        maps = (p.value for key, p in self._products.items() if isinstance(key, tuple) and key[0] == "map")
-        return sum(4 * light_map.depth.size for light_map in maps)
 
     def history(self, name: str, allocate: Callable[[], Any], margin: tuple[int, int] = (0, 0)) -> History:
         """Two buffers made by ``allocate``, and the eye's view when the previous one was written."""

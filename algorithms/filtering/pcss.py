@@ -24,7 +24,7 @@ discs, spheres and the sun; for rectangles and lines ``box`` is exact.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import warp as wp
 from pydantic import ValidationInfo, field_validator
@@ -112,6 +112,9 @@ class Pcss(Technique):
     family = "filtering"
     paper = ("fernando2005pcss", "schwaerzler2009", "scherzer2009tc", "stingl2011")
     needs = Needs(area=True)
+    stability_limits: ClassVar[dict[str, str]] = {
+        "light_grows": "one map sees one side of a caster, and a light much wider than its distance shines past both"
+    }
     bias_sign = "none"
     limits = (Limit(equals="shadow_map", light_scale=0.0),)
 

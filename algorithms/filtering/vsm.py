@@ -22,7 +22,7 @@ map's border, and at that of a face of an omnidirectional map.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import warp as wp
 from pydantic import field_validator
@@ -156,6 +156,9 @@ class Vsm(Technique):
     name = "vsm"
     family = "filtering"
     paper = ("donnelly2006vsm", "lauritzen2007savsm", "fernando2005pcss", "schwaerzler2009")
+    stability_limits: ClassVar[dict[str, str]] = {
+        "light_place": "no texel falls on a receiver in whose plane the light lies"
+    }
     bias_sign = "lighter"
 
     class Params(MapParams):

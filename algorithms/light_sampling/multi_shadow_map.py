@@ -14,7 +14,7 @@ aliasing and bias, which N different maps blur but do not remove.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import warp as wp
@@ -89,6 +89,9 @@ class MultiShadowMap(Technique):
     name = "multi_shadow_map"
     family = "light_sampling"
     paper = ("heckbert1997", "scherzer2009tc")
+    stability_limits: ClassVar[dict[str, str]] = {
+        "light_place": "no texel falls on a receiver in whose plane the light lies"
+    }
     bias_sign = "none"
 
     class Params(MapParams):

@@ -37,7 +37,7 @@ frame, as points are followed by the camera's motion alone.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import warp as wp
@@ -63,6 +63,9 @@ class TcSoftPaper(Technique):
     family = "temporal"
     paper = ("scherzer2009tc", "schwaerzler2009", "fernando2005pcss")
     needs = Needs(area=True, history=True)
+    stability_limits: ClassVar[dict[str, str]] = {
+        "light_place": "no texel falls on a receiver in whose plane the light lies"
+    }
     bias_sign = "none"
     limits = (
         Limit(
