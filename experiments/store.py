@@ -20,7 +20,7 @@ FRAME_COLUMNS = (
     "technique", "label", "frame", "frame_ms", "shadow_ms", "fps",
     "rmse", "mean_signed_error", "p99_error", "flip", "standard_error", "reference_standard_error",
     "m_x_max", "m_z_max", "flicker",
-    "frame_ms_q1", "frame_ms_q3", "shadow_ms_q1", "shadow_ms_q3", "receiver_pixels",
+    "frame_ms_q1", "frame_ms_q3", "shadow_ms_q1", "shadow_ms_q3", "receiver_pixels", "disoccluded",
 )  # fmt: skip
 PASS_COLUMNS = ("technique", "label", "frame", "pass", "ms")
 LEFT_OUT_COLUMNS = ("label", "what", "reason", "count", "frame")

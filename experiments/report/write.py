@@ -64,6 +64,9 @@ def _draw(frames: pd.DataFrame, passes: pd.DataFrame, table: pd.DataFrame) -> di
         ),
         "frame_ms": (plots.frame_times(frames, look), _SCREEN),
     }
+    if frames["frame"].nunique() > 1:
+        title = "milliseconds per frame"
+        out["frame_ms_per_frame"] = (plots.per_frame(frames, look, "frame_ms", title, log=True), _SCREEN)
     if not passes.empty:
         out["passes"] = (plots.pass_times(passes, labels), _SCREEN)
     if frames["m_x_max"].notna().any() and frames["frame"].nunique() > 1:
