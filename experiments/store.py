@@ -32,9 +32,14 @@ TABLES: Mapping[str, tuple[str, ...]] = {
     "failures": FAILURE_COLUMNS,
 }
 assert set(METRICS) <= set(FRAME_COLUMNS)
+CONVERGENCE_COLUMNS = (
+    "technique", "label", "step", "n", "rmse", "mean_signed_error", "standard_error", "coverage_2se",
+    "over", "p99_error", "reference_standard_error", "penumbra_rmse", "penumbra_standard_error",
+    "n_effective", "zero_standard_error", "receiver_pixels", "penumbra_pixels",
+)  # fmt: skip
 
 RawKind = Literal["visibility", "standard_error"]
-ViewKind = Literal["shaded", "visibility", "error"]
+ViewKind = Literal["shaded", "visibility", "error", "standard_error"]
 
 
 def _json(data: Mapping[str, Any]) -> str:
@@ -46,7 +51,14 @@ class Store:
 
     Attributes:
         out: The folder.
+        tables: Columns of its tables.
+        main: The table with one row for each piece of work that is done.
+        place: The column of that table that, with the label, names the piece.
     """
+
+    tables: Mapping[str, tuple[str, ...]] = TABLES
+    main = "frames"
+    place = "frame"
 
     def __init__(self, out: Path) -> None:
         self.out = out
@@ -64,7 +76,7 @@ class Store:
         out = Path(out)
         if not out.is_dir():
             raise InputError("there is no such result folder.", file=out)
-        missing = [name for name in ("config.yaml", "environment.json", "frames.csv") if not (out / name).is_file()]
+        missing = [name for name in ("config.yaml", "environment.json", f"{cls.main}.csv") if not (out / name).is_file()]
         if missing:
             raise InputError(f"is not a result folder: it has no {', '.join(missing)}.", file=out)
         store = cls(out)
@@ -99,7 +111,7 @@ class Store:
         if not self._is_ours():
             raise InputError("holds other files and no earlier run; give a new or empty folder with --out.", file=out)
         config_file = out / "config.yaml"
-        started = bool(self.rows("frames") or self.rows("failures"))
+        started = any(self.rows(name) for name in ("frames", "convergence", "failures"))
         if started:
             self._check_same(config_file, config, environment, resume)
         if started and resume:
@@ -136,7 +148,7 @@ class Store:
             raise InputError(message, file=self.out / "environment.json")
 
     def _clear(self) -> None:
-        names = [f"{name}.csv" for name in (*TABLES, "summary")] + ["report.html", "environment.json", "config.yaml"]
+        names = [f"{name}.csv" for name in (*TABLES, "convergence", "estimates", "summary")] + ["report.html", "environment.json", "config.yaml"]
         for name in names:
             (self.out / name).unlink(missing_ok=True)
         for folder in ("images", "plots", "failures"):
@@ -144,9 +156,9 @@ class Store:
                 shutil.rmtree(self.out / folder)
 
     def recover(self) -> None:
-        """Makes all tables consistent with the complete rows of frames.csv and failures.csv."""
+        """Makes all tables consistent with the complete rows of the main one and of failures.csv."""
         done = self.done()
-        for name, columns in TABLES.items():
+        for name, columns in self.tables.items():
             rows = self.rows(name)
             if name in ("passes", "left_out"):
                 rows = [row for row in rows if (row["label"], int(row["frame"])) in done]
@@ -155,14 +167,14 @@ class Store:
     # ---- Rows ----
 
     def append(self, table: str, rows: Sequence[Row]) -> None:
-        """Adds rows to a table of ``TABLES``; they are on the disk when this returns."""
+        """Adds rows to a table of ``tables``; they are on the disk when this returns."""
         if table not in self._tables:
-            self._tables[table] = Table(self.out / f"{table}.csv", TABLES[table])
+            self._tables[table] = Table(self.out / f"{table}.csv", self.tables[table])
         self._tables[table].append(rows)
 
     def start_tables(self) -> None:
         """Creates every table, so that one without rows is there with its head."""
-        for name in TABLES:
+        for name in self.tables:
             self.append(name, [])
 
     def close(self) -> None:
@@ -176,8 +188,8 @@ class Store:
         return read_table(self.out / f"{table}.csv")
 
     def done(self) -> set[tuple[str, int]]:
-        """Label and frame of all complete frames."""
-        return {(row["label"], int(row["frame"])) for row in self.rows("frames")}
+        """Label and frame (or step) of all complete ones."""
+        return {(row["label"], int(row[self.place])) for row in self.rows(self.main)}
 
     def rewrite_frames(self, change: Callable[[dict[str, str]], Row]) -> None:
         """Replaces every row of frames.csv by ``change(row)``, in one step."""
@@ -218,6 +230,14 @@ class Store:
         """Frames of which there is a raw visibility image, ascending."""
         found = (self.out / "images" / image_folder(label)).glob("visibility_*.exr")
         return sorted(int(path.stem.rpartition("_")[2]) for path in found)
+
+
+class ConvergenceStore(Store):
+    """The folder of a run of ``kind: convergence``; its images are of steps, the reference of a still camera of step 1."""
+
+    tables = {"convergence": CONVERGENCE_COLUMNS, "failures": FAILURE_COLUMNS}
+    main = "convergence"
+    place = "step"
 
 
 def image_folder(label: str | None) -> str:

@@ -93,7 +93,7 @@ def _page(
         loader=PackageLoader("experiments.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     page.filters["number"] = number
-    page.filters["plain"] = _plain
+    page.filters["plain"] = plain
     return page.get_template("report.html").render(
         run=run,
         environment=environment["environment"],
@@ -152,11 +152,11 @@ def number(value: Any, digits: int = 3) -> str:
     return f"{value:.{digits - 1}e}"
 
 
-def _plain(value: Any) -> str:
+def plain(value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{key} {_plain(item)}" for key, item in value.items())
+        return ", ".join(f"{key} {plain(item)}" for key, item in value.items())
     if isinstance(value, list | tuple):
-        return ", ".join(_plain(item) for item in value)
+        return ", ".join(plain(item) for item in value)
     return "" if value is None else str(value)
 
 
