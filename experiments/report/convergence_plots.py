@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -95,10 +96,8 @@ def picture_sheet(rows: Mapping[str, Sequence[np.ndarray | None]], heads: Sequen
                 axes.set_axis_off()
                 if image is not None:
                     axes.imshow(image, interpolation="nearest", aspect="equal")
-                else:
-                    axes.set_xlim(0, width)
-                    axes.set_aspect(height / width / 1.0)
-            line[0].text(-0.03, 0.5, label, rotation=90, ha="right", va="center", fontsize=9, transform=line[0].transAxes)
+            name = "\n".join(textwrap.wrap(label, max(8, int(13.0 * cell)), break_long_words=True))  # about 13 letters an inch
+            line[0].text(-0.03, 0.5, name, rotation=90, ha="right", va="center", fontsize=8, transform=line[0].transAxes)
         for axes, head in zip(grid[0], heads, strict=True):
             axes.set_title(head, fontsize=10)
         return figure
