@@ -63,9 +63,7 @@ def carry_over(
     return out.reshape(previous_visibility.shape)
 
 
-def disoccluded(
-    previous_position_ws: np.ndarray, previous_ws_to_ss: np.ndarray, position_ws: np.ndarray
-) -> np.ndarray:
+def disoccluded(previous_position_ws: np.ndarray, previous_ws_to_ss: np.ndarray, position_ws: np.ndarray) -> np.ndarray:
     """Which points the previous frame did not see: outside its image, behind a surface, or on one that moved away.
 
     A point counts as seen where the positions around it interpolate to it, or where one of the four pixels saw the same

@@ -1,4 +1,6 @@
-"""``kind: convergence``: how error and standard error fall with frames or light samples (Scherzer et al. 2009, Figs 2, 3).
+"""``kind: convergence``: how error and standard error fall with frames or light samples.
+
+After Scherzer et al. 2009, Figs 2 and 3.
 
 Step by step, every label that goes over frames renders one more and every label that goes over samples renders with so
 many. Nothing is timed. Rows are stored as they are made; a resumed run renders again what a history needs and keeps
@@ -253,12 +255,17 @@ def explain_convergence(convergence: Convergence, plugins: Mapping[str, type] | 
         steps = c.measured(run.label)
         axis = {"frames": f"{last} frames", SAMPLES: f"{len(steps)} times, 1 to {last} samples", "none": "once"}
         measured = "row" if len(steps) == 1 else "rows"
-        work.append(f"{run.label}: rendered over {axis[c.axes[run.label]]}; {len(steps)} {measured}".replace("over once", "once"))
+        work.append(
+            f"{run.label}: rendered over {axis[c.axes[run.label]]}; {len(steps)} {measured}".replace(
+                "over once", "once"
+            )
+        )
     references = {c.frame_of(s) for run in e.runs for s in c.measured(run.label)} if c.camera == "path" else {0}
     pixels = e.image.width * e.image.height
     work.append(
         f"reference on {len(references)} frame{'' if len(references) == 1 else 's'}: {c.reference.samples} light "
-        f"samples, at most {len(references) * pixels * c.reference.samples:,} rays; what the cache holds is not traced again"
+        f"samples, at most {len(references) * pixels * c.reference.samples:,} rays; "
+        "what the cache holds is not traced again"
     )
     work.append(f"pictures at steps {', '.join(map(str, c.steps))}")
     sections = [

@@ -59,7 +59,9 @@ def estimates_text(estimates: Estimates) -> str:
     lines = [f"{'n':>5} {'tau':>4} {'psi':>8} {'variance':>10} {'s':>8}"]
     rows = estimate_rows(estimates)
     for row in rows[:_SHOWN]:
-        lines.append(f"{row['n']:>5} {row['tau']:>4} {row['psi']:>8.4f} " + _cells(row["variance"], row["standard_error"]))
+        lines.append(
+            f"{row['n']:>5} {row['tau']:>4} {row['psi']:>8.4f} " + _cells(row["variance"], row["standard_error"])
+        )
     if len(rows) > _SHOWN:
         lines.append(f"and {len(rows) - _SHOWN} more")
     return "\n".join([*lines, "n = 1: variance and s are 0 / 0, undefined; the kernels take 1 for s."])

@@ -76,7 +76,7 @@ def error_colors(error: np.ndarray) -> np.ndarray:
 
 
 def standard_error_view(standard_error: np.ndarray) -> np.ndarray:
-    """Heat map of a technique's own standard error on the scale of ``error_view``, its positive half; uint8 (H, W, 3)."""
+    """Heat map of a technique's own standard error on the positive half of ``ERROR_SCALE``; uint8 (H, W, 3)."""
     return error_view(standard_error, np.zeros_like(standard_error))
 
 

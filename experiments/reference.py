@@ -120,13 +120,19 @@ class ReferenceRenderer:
         held = _read(file, self._size) if file else None
         if held is not None:
             return held
-        if file is None or not self._has_area or not self._even:
-            made = self._trace(frame, self._samples)
-            if file:
-                _write(file, made)
-            return made
+        if file is None:
+            return self._trace(frame, self._samples)
+        if not self._has_area or not self._even:
+            whole = self._trace(frame, self._samples)
+            _write(file, whole)
+            return whole
+        return self._trace_in_parts(frame, file)
+
+    def _trace_in_parts(self, frame: int, file: Path) -> Reference:
+        """Goes on from the cached reference of the most samples and caches what it has after every ``PART`` samples."""
         stem = self._key(frame, samples=0)
-        done, made = self._largest_part(stem) or (0, None)
+        begun = self._largest_part(stem)
+        done, made = begun if begun else (0, None)
         own: Path | None = None  # the part that this call wrote last
         while made is None or done < self._samples:
             more = min(PART, self._samples - done)

@@ -10,7 +10,8 @@ import json
 import shutil
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from types import MappingProxyType
+from typing import Any, Literal, Self
 
 from experiments.metrics import METRICS
 from experiments.tables import Row, Table, read_table, table_text, write_text
@@ -67,7 +68,7 @@ class Store:
     # ---- Opening ----
 
     @classmethod
-    def existing(cls, out: str | Path) -> Store:
+    def existing(cls, out: str | Path) -> Self:
         """An earlier run's folder, for reading.
 
         Raises:
@@ -76,7 +77,9 @@ class Store:
         out = Path(out)
         if not out.is_dir():
             raise InputError("there is no such result folder.", file=out)
-        missing = [name for name in ("config.yaml", "environment.json", f"{cls.main}.csv") if not (out / name).is_file()]
+        missing = [
+            name for name in ("config.yaml", "environment.json", f"{cls.main}.csv") if not (out / name).is_file()
+        ]
         if missing:
             raise InputError(f"is not a result folder: it has no {', '.join(missing)}.", file=out)
         store = cls(out)
@@ -85,7 +88,7 @@ class Store:
         return store
 
     @classmethod
-    def open(cls, out: str | Path, config: str, environment: Mapping[str, Any], *, resume: bool) -> Store:
+    def open(cls, out: str | Path, config: str, environment: Mapping[str, Any], *, resume: bool) -> Self:
         """A folder to write into: a new one, one to start afresh, or one to continue.
 
         Args:
@@ -148,7 +151,11 @@ class Store:
             raise InputError(message, file=self.out / "environment.json")
 
     def _clear(self) -> None:
-        names = [f"{name}.csv" for name in (*TABLES, "convergence", "estimates", "summary")] + ["report.html", "environment.json", "config.yaml"]
+        names = [f"{name}.csv" for name in (*TABLES, "convergence", "estimates", "summary")] + [
+            "report.html",
+            "environment.json",
+            "config.yaml",
+        ]
         for name in names:
             (self.out / name).unlink(missing_ok=True)
         for folder in ("images", "plots", "failures"):
@@ -233,9 +240,11 @@ class Store:
 
 
 class ConvergenceStore(Store):
-    """The folder of a run of ``kind: convergence``; its images are of steps, the reference of a still camera of step 1."""
+    """The folder of a run of ``kind: convergence``: images are of steps, a still camera's reference is of step 1."""
 
-    tables = {"convergence": CONVERGENCE_COLUMNS, "failures": FAILURE_COLUMNS}
+    tables: Mapping[str, tuple[str, ...]] = MappingProxyType(
+        {"convergence": CONVERGENCE_COLUMNS, "failures": FAILURE_COLUMNS}
+    )
     main = "convergence"
     place = "step"
 

@@ -6,7 +6,7 @@ from shadow tests that are written down.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -50,7 +50,7 @@ class ConvergenceFile(StrictModel):
     kind: Literal["convergence"]
     scene: str | dict[str, Any]
     image: Image
-    reference: ConvergenceReference = ConvergenceReference()
+    reference: ConvergenceReference = Field(default_factory=lambda: ConvergenceReference.model_validate({}))
     projection: Projection | None = None
     techniques: list[str | dict[str, Any]] = Field(min_length=1)
     camera: Literal["still", "path"] = "still"
@@ -217,12 +217,14 @@ def load_convergence(
 def held(scene: Scene, frame: int) -> Scene:
     """The scene as it is at a frame, for ever: camera and meshes stand."""
     camera = scene.camera(frame)
-    poses = [mesh.object_to_ws(frame) for mesh in scene.meshes]
     meshes = tuple(
-        replace(mesh, object_to_ws=lambda _, pose=pose: np.array(pose), moving=False)
-        for mesh, pose in zip(scene.meshes, poses, strict=True)
+        replace(mesh, object_to_ws=_standing(mesh.object_to_ws(frame)), moving=False) for mesh in scene.meshes
     )
     return replace(scene, meshes=meshes, camera=lambda _: camera, frames=1)
+
+
+def _standing(pose: np.ndarray) -> Callable[[int], np.ndarray]:
+    return lambda _: pose.copy()
 
 
 def _axis(technique: Any, camera: str) -> Axis:

@@ -11,7 +11,7 @@ from wkernels.errors import InputError
 
 
 def kind_of(path: str | Path, overrides: Iterable[str] = ()) -> str | None:
-    """The value of the key ``kind``; None where it is no text or the file cannot be read, which its loader says better."""
+    """The value of the key ``kind``; None where it is no text or the file cannot be read, which loaders say better."""
     own = [text for text in overrides if text.partition("=")[0].strip() == "kind"]
     try:
         source = load_yaml(Path(path))

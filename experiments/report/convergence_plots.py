@@ -42,7 +42,9 @@ def log_log_plot(table: pd.DataFrame, summary: pd.DataFrame, look: Look, *, stil
                 axes.axhline(rmse[0], color=color, lw=1.4, ls=(0, (1, 1.5)), label=label)
                 continue
             marker = look.marker(label) if len(own) <= 40 else None
-            axes.plot(own["step"], rmse, color=color, marker=marker, ms=4, lw=1.5, label=_named(label, "", row["rmse_slope"]))
+            axes.plot(
+                own["step"], rmse, color=color, marker=marker, ms=4, lw=1.5, label=_named(label, "", row["rmse_slope"])
+            )
             if np.isfinite(error).any():
                 text = _named(label, ": own standard error", row["standard_error_slope"])
                 axes.plot(own["step"], error, color=color, lw=1.1, ls=(0, (5, 2)), label=text)
@@ -68,7 +70,9 @@ def coverage_plot(table: pd.DataFrame, look: Look, *, still: bool) -> Figure:
         for label in dict.fromkeys(known["label"]):
             own = known[known["label"] == label].sort_values("step")
             marker = look.marker(label) if len(own) <= 40 else None
-            axes.plot(own["step"], own["coverage_2se"], color=look.color(label), marker=marker, ms=4, lw=1.4, label=label)
+            axes.plot(
+                own["step"], own["coverage_2se"], color=look.color(label), marker=marker, ms=4, lw=1.4, label=label
+            )
         _step_axis(axes, int(known["step"].max()), still)
         axes.set_ylim(min(0.5, float(known["coverage_2se"].min())), 1.01)
         axes.yaxis.set_major_formatter(PercentFormatter(1.0))
@@ -96,8 +100,12 @@ def picture_sheet(rows: Mapping[str, Sequence[np.ndarray | None]], heads: Sequen
                 axes.set_axis_off()
                 if image is not None:
                     axes.imshow(image, interpolation="nearest", aspect="equal")
-            name = "\n".join(textwrap.wrap(label, max(8, int(13.0 * cell)), break_long_words=True))  # about 13 letters an inch
-            line[0].text(-0.03, 0.5, name, rotation=90, ha="right", va="center", fontsize=8, transform=line[0].transAxes)
+            name = "\n".join(
+                textwrap.wrap(label, max(8, int(13.0 * cell)), break_long_words=True)
+            )  # about 13 letters an inch
+            line[0].text(
+                -0.03, 0.5, name, rotation=90, ha="right", va="center", fontsize=8, transform=line[0].transAxes
+            )
         for axes, head in zip(grid[0], heads, strict=True):
             axes.set_title(head, fontsize=10)
         return figure

@@ -105,7 +105,7 @@ def _draw_front(axes: Axes, x: np.ndarray, y: np.ndarray) -> list[tuple[float, f
 
 
 def per_frame(frames: pd.DataFrame, look: Look, column: str, title: str, *, log: bool, sparse: bool = False) -> Figure:
-    """One column of frames.csv over the frame number, a line per label; below them what each frame saw for the first time.
+    """One column of frames.csv over the frame number, a line per label; below them what each frame uncovered.
 
     Args:
         frames: As ``experiments.summary.load_frames`` gives it.
@@ -144,8 +144,10 @@ def per_frame(frames: pd.DataFrame, look: Look, column: str, title: str, *, log:
 
 
 def _disocclusion_below(figure: Figure, axes: Axes, frames: pd.DataFrame) -> None:
-    """A panel under the curves: the percentage of receiver pixels that the frame before did not see, if any frame has."""
-    share = frames.groupby("frame")["disoccluded"].mean().dropna() if "disoccluded" in frames else pd.Series(dtype=float)
+    """A panel under the curves: the percentage of receiver pixels that the frame before did not see, if any."""
+    share = (
+        frames.groupby("frame")["disoccluded"].mean().dropna() if "disoccluded" in frames else pd.Series(dtype=float)
+    )
     if not len(share) or not share.max() > 0.0:
         return
     width, height = figure.get_size_inches()

@@ -153,6 +153,7 @@ def number(value: Any, digits: int = 3) -> str:
 
 
 def plain(value: Any) -> str:
+    """A value of environment.json for people."""
     if isinstance(value, dict):
         return ", ".join(f"{key} {plain(item)}" for key, item in value.items())
     if isinstance(value, list | tuple):
