@@ -123,7 +123,7 @@ def write_convergence_report(out: str | Path) -> Path:
 
 
 def _sheets(store: ConvergenceStore, labels: list[str], run: dict[str, Any]) -> dict[str, tuple[str, Figure]]:
-    """Pictures side by side, a row per label and a column per step, with the reference at the end."""
+    """Pictures side by side: a row per label, a column per step; last the reference, along a path as a row."""
     steps, crop, still = run["steps"], run["crop"], run["camera"] == "still"
 
     def image(label: str | None, kind: Any, step: int) -> np.ndarray | None:
@@ -152,12 +152,14 @@ def _sheets(store: ConvergenceStore, labels: list[str], run: dict[str, Any]) -> 
         ]
         stated = [image(label, "standard_error", step) for step in steps]
         own[label] = [None if s is None else standard_error_view(s) for s in stated]
-    if still and (r := reference(1)) is not None:
-        seen["reference"] = [None] * (len(steps) - 1) + [visibility_view(r)]
-    elif not still:
-        seen["reference"] = [None if (v := reference(step)) is None else visibility_view(v) for step in steps]
     heads = [f"step {step}" for step in steps]
-    out = {"steps_visibility": ("Visibility", picture_sheet(seen, heads))}
+    if not still:
+        seen["reference"] = [None if (v := reference(step)) is None else visibility_view(v) for step in steps]
+        out = {"steps_visibility": ("Visibility", picture_sheet(seen, heads))}
+    else:
+        truth_view = None if (v := reference(1)) is None else visibility_view(v)
+        beside = {label: [*images, truth_view] for label, images in seen.items()}
+        out = {"steps_visibility": ("Visibility", picture_sheet(beside, [*heads, "reference"]))}
     out["steps_error"] = ("Error", picture_sheet(errors, heads))
     own = {label: images for label, images in own.items() if any(i is not None for i in images)}
     if own:
