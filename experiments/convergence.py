@@ -10,7 +10,6 @@ every row that is there.
 from __future__ import annotations
 
 import hashlib
-import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,7 +24,6 @@ from experiments.environment import describe_run
 from experiments.images import error_view, shaded_view, standard_error_view, visibility_view, write_exr, write_png
 from experiments.runner import Progress, TechniquesFailed
 from experiments.store import ConvergenceStore
-from experiments.tables import write_text
 from wkernels.errors import InputError
 
 if TYPE_CHECKING:
@@ -229,12 +227,7 @@ class _Work:
     def _fail(self, lane: _Lane, step: int, error: Exception) -> None:
         """Records a failure; the label is left out from here on."""
         lane.failed, lane.session, lane.technique = True, None, None
-        short = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-        folder = self.store.out / "failures"
-        folder.mkdir(exist_ok=True)
-        write_text(folder / f"{lane.run.label}.txt", "".join(traceback.format_exception(error)))
-        row = {"technique": lane.run.name, "label": lane.run.label, "frame": step, "error": short}
-        self.store.append("failures", [row])
+        self.store.record_failure(lane.run.name, lane.run.label, step, error)
 
 
 def explain_convergence(convergence: Convergence, plugins: Mapping[str, type] | None = None) -> str:
@@ -252,14 +245,9 @@ def explain_convergence(convergence: Convergence, plugins: Mapping[str, type] | 
     technique_lines = run_lines(replace(e, baseline=""), plugins)
     work = []
     for run in e.runs:
-        steps = c.measured(run.label)
-        axis = {"frames": f"{last} frames", SAMPLES: f"{len(steps)} times, 1 to {last} samples", "none": "once"}
-        measured = "row" if len(steps) == 1 else "rows"
-        work.append(
-            f"{run.label}: rendered over {axis[c.axes[run.label]]}; {len(steps)} {measured}".replace(
-                "over once", "once"
-            )
-        )
+        rows = len(c.measured(run.label))
+        amount = {"frames": f"over {last} frames", SAMPLES: f"{rows} times, with 1 to {last} samples", "none": "once"}
+        work.append(f"{run.label}: rendered {amount[c.axes[run.label]]}; {rows} row{'' if rows == 1 else 's'}")
     references = {c.frame_of(s) for run in e.runs for s in c.measured(run.label)} if c.camera == "path" else {0}
     pixels = e.image.width * e.image.height
     work.append(

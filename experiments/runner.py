@@ -7,7 +7,6 @@ comes before the first frame and is never timed.
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -21,7 +20,6 @@ from experiments.environment import describe_run
 from experiments.images import error_view, shaded_view, visibility_view, write_exr, write_png
 from experiments.lanes import Lane, Timing, pass_medians, timing_columns
 from experiments.store import Store
-from experiments.tables import write_text
 from wkernels.errors import InputError
 
 if TYPE_CHECKING:
@@ -206,12 +204,7 @@ class _Walkthrough:
         lane.failed = True
         lane.session = lane.technique = lane.before = lane.result = None
         lane.timings = []
-        short = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-        folder = self.store.out / "failures"
-        folder.mkdir(exist_ok=True)
-        write_text(folder / f"{lane.label}.txt", "".join(traceback.format_exception(error)))
-        row = {"technique": lane.run.name, "label": lane.label, "frame": frame, "error": short}
-        self.store.append("failures", [row])
+        self.store.record_failure(lane.run.name, lane.label, frame, error)
 
     # ---- Storing ----
 

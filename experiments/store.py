@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -178,6 +179,14 @@ class Store:
         if table not in self._tables:
             self._tables[table] = Table(self.out / f"{table}.csv", self.tables[table])
         self._tables[table].append(rows)
+
+    def record_failure(self, technique: str, label: str, place: int, error: Exception) -> None:
+        """Adds a row to failures.csv and a file with the traceback; ``place`` is the frame or step."""
+        short = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        folder = self.out / "failures"
+        folder.mkdir(exist_ok=True)
+        write_text(folder / f"{label}.txt", "".join(traceback.format_exception(error)))
+        self.append("failures", [{"technique": technique, "label": label, "frame": place, "error": short}])
 
     def start_tables(self) -> None:
         """Creates every table, so that one without rows is there with its head."""
