@@ -15,7 +15,7 @@ SCENE = Path(__file__).parents[2] / "configs" / "scenes" / "static_moving_overla
 TEXT = f"""\
 kind: convergence
 scene: {SCENE.as_posix()}
-image: {{width: 64, height: 48}}
+image: {{width: 48, height: 36}}
 frame: 40
 reference: {{samples: 4096, every: 255}}
 steps: [1, 16, 256]
