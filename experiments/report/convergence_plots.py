@@ -97,7 +97,11 @@ def picture_sheet(rows: Mapping[str, Sequence[np.ndarray | None]], heads: Sequen
         grid = figure.subplots(len(rows), len(heads), squeeze=False, gridspec_kw={"wspace": 0.03, "hspace": 0.03})
         for line, (label, images) in zip(grid, rows.items(), strict=True):
             for axes, image in zip(line, images, strict=True):
-                axes.set_axis_off()
+                axes.grid(False)
+                axes.set_xticks([])
+                axes.set_yticks([])
+                for spine in axes.spines.values():  # lit pictures are as white as the page
+                    spine.set(visible=image is not None, color="#8a93a6", linewidth=0.6)
                 if image is not None:
                     axes.imshow(image, interpolation="nearest", aspect="equal")
             name = "\n".join(
