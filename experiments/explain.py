@@ -30,8 +30,8 @@ def explain(experiment: Experiment, plugins: Mapping[str, type] | None = None) -
         plugins = load_all()
     scene = experiment.load_scene()
     sections = [
-        ("Scene", _scene_lines(experiment, scene)),
-        ("What will run", _run_lines(experiment, plugins)),
+        ("Scene", scene_lines(experiment, scene)),
+        ("What will run", run_lines(experiment, plugins)),
         ("Amount of work", _work_lines(experiment, plugins)),
         ("Left out", _left_out_lines(experiment, scene, plugins)),
     ]
@@ -40,7 +40,8 @@ def explain(experiment: Experiment, plugins: Mapping[str, type] | None = None) -
     return "\n".join(parts)
 
 
-def _scene_lines(experiment: Experiment, scene: Scene) -> list[str]:
+def scene_lines(experiment: Experiment, scene: Scene) -> list[str]:
+    """Meshes, light and path."""
     casters = [mesh for mesh in scene.meshes if mesh.casts]
     triangles = sum(len(mesh.faces) for mesh in scene.meshes)
     light = scene.lights[experiment.light]
@@ -59,7 +60,8 @@ def _scene_lines(experiment: Experiment, scene: Scene) -> list[str]:
     ]
 
 
-def _run_lines(experiment: Experiment, plugins: Mapping[str, type]) -> list[str]:
+def run_lines(experiment: Experiment, plugins: Mapping[str, type]) -> list[str]:
+    """A line per label: technique, parameters that are not at their defaults, and what it relies on."""
     width = max(len(run.label) for run in experiment.runs)
     lines = []
     for run in experiment.runs:

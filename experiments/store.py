@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import json
 import shutil
+import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from types import MappingProxyType
+from typing import Any, Literal, Self
 
 from experiments.config.source import load_yaml
 from experiments.metrics import METRICS
@@ -21,7 +23,7 @@ FRAME_COLUMNS = (
     "technique", "label", "frame", "frame_ms", "shadow_ms", "fps",
     "rmse", "mean_signed_error", "p99_error", "flip", "standard_error", "reference_standard_error",
     "m_x_max", "m_z_max", "flicker",
-    "frame_ms_q1", "frame_ms_q3", "shadow_ms_q1", "shadow_ms_q3", "receiver_pixels",
+    "frame_ms_q1", "frame_ms_q3", "shadow_ms_q1", "shadow_ms_q3", "receiver_pixels", "disoccluded",
 )  # fmt: skip
 PASS_COLUMNS = ("technique", "label", "frame", "pass", "ms")
 LEFT_OUT_COLUMNS = ("label", "what", "reason", "count", "frame")
@@ -33,9 +35,14 @@ TABLES: Mapping[str, tuple[str, ...]] = {
     "failures": FAILURE_COLUMNS,
 }
 assert set(METRICS) <= set(FRAME_COLUMNS)
+CONVERGENCE_COLUMNS = (
+    "technique", "label", "step", "n", "rmse", "mean_signed_error", "standard_error", "coverage_2se",
+    "over", "p99_error", "reference_standard_error", "penumbra_rmse", "penumbra_standard_error",
+    "n_effective", "zero_standard_error", "receiver_pixels", "penumbra_pixels",
+)  # fmt: skip
 
 RawKind = Literal["visibility", "standard_error"]
-ViewKind = Literal["shaded", "visibility", "error"]
+ViewKind = Literal["shaded", "visibility", "error", "standard_error"]
 
 
 def _json(data: Mapping[str, Any]) -> str:
@@ -47,7 +54,14 @@ class Store:
 
     Attributes:
         out: The folder.
+        tables: Columns of its tables.
+        main: The table with one row for each piece of work that is done.
+        place: The column of that table that, with the label, names the piece.
     """
+
+    tables: Mapping[str, tuple[str, ...]] = TABLES
+    main = "frames"
+    place = "frame"
 
     def __init__(self, out: Path) -> None:
         self.out = out
@@ -56,7 +70,7 @@ class Store:
     # ---- Opening ----
 
     @classmethod
-    def existing(cls, out: str | Path) -> Store:
+    def existing(cls, out: str | Path) -> Self:
         """An earlier run's folder, for reading.
 
         Raises:
@@ -65,7 +79,9 @@ class Store:
         out = Path(out)
         if not out.is_dir():
             raise InputError("there is no such result folder.", file=out)
-        missing = [name for name in ("config.yaml", "environment.json", "frames.csv") if not (out / name).is_file()]
+        missing = [
+            name for name in ("config.yaml", "environment.json", f"{cls.main}.csv") if not (out / name).is_file()
+        ]
         if missing:
             raise InputError(f"is not a result folder: it has no {', '.join(missing)}.", file=out)
         store = cls(out)
@@ -74,7 +90,7 @@ class Store:
         return store
 
     @classmethod
-    def open(cls, out: str | Path, config: str, environment: Mapping[str, Any], *, resume: bool) -> Store:
+    def open(cls, out: str | Path, config: str, environment: Mapping[str, Any], *, resume: bool) -> Self:
         """A folder to write into: a new one, one to start afresh, or one to continue.
 
         Args:
@@ -100,7 +116,7 @@ class Store:
         if not self._is_ours():
             raise InputError("holds other files and no earlier run; give a new or empty folder with --out.", file=out)
         config_file = out / "config.yaml"
-        started = bool(self.rows("frames") or self.rows("failures"))
+        started = any(self.rows(name) for name in ("frames", "convergence", "failures"))
         if started:
             self._check_same(config_file, config, environment, resume)
         if started and resume:
@@ -137,7 +153,7 @@ class Store:
             raise InputError(message, file=self.out / "environment.json")
 
     def _clear(self) -> None:
-        names = [f"{name}.csv" for name in (*TABLES, "summary", "published")]
+        names = [f"{name}.csv" for name in (*TABLES, "convergence", "estimates", "stability", "summary", "published")]
         names += ["report.html", "environment.json", "config.yaml"]
         for name in names:
             (self.out / name).unlink(missing_ok=True)
@@ -146,9 +162,9 @@ class Store:
                 shutil.rmtree(self.out / folder)
 
     def recover(self) -> None:
-        """Makes all tables consistent with the complete rows of frames.csv and failures.csv."""
+        """Makes all tables consistent with the complete rows of the main one and of failures.csv."""
         done = self.done()
-        for name, columns in TABLES.items():
+        for name, columns in self.tables.items():
             rows = self.rows(name)
             if name in ("passes", "left_out"):
                 rows = [row for row in rows if (row["label"], int(row["frame"])) in done]
@@ -157,14 +173,22 @@ class Store:
     # ---- Rows ----
 
     def append(self, table: str, rows: Sequence[Row]) -> None:
-        """Adds rows to a table of ``TABLES``; they are on the disk when this returns."""
+        """Adds rows to a table of ``tables``; they are on the disk when this returns."""
         if table not in self._tables:
-            self._tables[table] = Table(self.out / f"{table}.csv", TABLES[table])
+            self._tables[table] = Table(self.out / f"{table}.csv", self.tables[table])
         self._tables[table].append(rows)
+
+    def record_failure(self, technique: str, label: str, place: int, error: Exception) -> None:
+        """Adds a row to failures.csv and a file with the traceback; ``place`` is the frame or step."""
+        short = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        folder = self.out / "failures"
+        folder.mkdir(exist_ok=True)
+        write_text(folder / f"{label}.txt", "".join(traceback.format_exception(error)))
+        self.append("failures", [{"technique": technique, "label": label, "frame": place, "error": short}])
 
     def start_tables(self) -> None:
         """Creates every table, so that one without rows is there with its head."""
-        for name in TABLES:
+        for name in self.tables:
             self.append(name, [])
 
     def close(self) -> None:
@@ -178,8 +202,8 @@ class Store:
         return read_table(self.out / f"{table}.csv")
 
     def done(self) -> set[tuple[str, int]]:
-        """Label and frame of all complete frames."""
-        return {(row["label"], int(row["frame"])) for row in self.rows("frames")}
+        """Label and frame (or step) of all complete ones."""
+        return {(row["label"], int(row[self.place])) for row in self.rows(self.main)}
 
     def rewrite_frames(self, change: Callable[[dict[str, str]], Row]) -> None:
         """Replaces every row of frames.csv by ``change(row)``, in one step."""
@@ -231,6 +255,16 @@ class Store:
         """Frames of which there is a raw visibility image, ascending."""
         found = (self.out / "images" / image_folder(label)).glob("visibility_*.exr")
         return sorted(int(path.stem.rpartition("_")[2]) for path in found)
+
+
+class ConvergenceStore(Store):
+    """The folder of a run of ``kind: convergence``: images are of steps, a still camera's reference is of step 1."""
+
+    tables: Mapping[str, tuple[str, ...]] = MappingProxyType(
+        {"convergence": CONVERGENCE_COLUMNS, "failures": FAILURE_COLUMNS}
+    )
+    main = "convergence"
+    place = "step"
 
 
 def image_folder(label: str | None) -> str:

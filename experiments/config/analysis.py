@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -15,7 +15,7 @@ from experiments.config.overrides import apply_overrides
 from experiments.config.source import Source, StrictModel, dump_yaml, load_yaml, validate
 from experiments.config.techniques import check_published
 from experiments.published import CURVE_QUANTITIES
-from wkernels.errors import InputError, nearest
+from wkernels.errors import nearest
 
 
 class AnalysisCamera(StrictModel):
@@ -110,15 +110,6 @@ class Analysis:
                 "curves": [curve.entry() for curve in self.curves],
             }
         )
-
-
-def is_analysis(path: str | Path, overrides: Iterable[str] = ()) -> bool:
-    """Whether the file is of this kind; False where it cannot be read, which its loader will say better."""
-    try:
-        source = _read(path, overrides)
-    except InputError:
-        return False
-    return isinstance(source.data, Mapping) and source.data.get("kind") == "analysis"
 
 
 def load_analysis(path: str | Path, overrides: Iterable[str] = ()) -> Analysis:

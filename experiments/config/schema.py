@@ -25,7 +25,7 @@ from wkernels.scene import Scene
 __all__ = ["Experiment", "FrameRange", "Image", "Projection", "Reference", "check_needs", "load_experiment"]
 
 KINDS = ("walkthrough", "convergence", "sweep", "stability", "analysis", "bench")
-AVAILABLE_KINDS = ("walkthrough", "analysis")
+AVAILABLE_KINDS = ("walkthrough", "convergence", "stability", "analysis")
 REFERENCE_METRICS = frozenset({"rmse", "mean_signed_error", "p99_error", "flip", "reference_standard_error"})
 
 
@@ -103,17 +103,40 @@ def load_experiment(
 
         plugins = load_all()
     path = Path(path)
-    source = load_yaml(path)
-    if not isinstance(source.data, dict):
-        raise source.error("must be a mapping with the keys kind, scene, image, techniques, ...")
     base = path.resolve().parent
-    source = apply_overrides(source, overrides, lambda s: _inline_scene(s, base))
+    source = read_experiment(path, overrides)
     _check_kind(source)
     file = validate(WalkthroughFile, source)
     if file.projection is not None:
         check_projection(source, ("projection",), file.projection.model_dump(by_alias=True))
     runs = expand_techniques(source, plugins, file.projection, Projection)
     return _resolved(path.stem, source, file, runs, base, plugins)
+
+
+def read_experiment(path: Path, overrides: Iterable[str]) -> Source:
+    """An experiment file with its overrides applied, not checked yet; InputError where it is no mapping."""
+    source = load_yaml(path)
+    if not isinstance(source.data, dict):
+        raise source.error("must be a mapping with the keys kind, scene, image, techniques, ...")
+    return apply_overrides(source, overrides, lambda s: _inline_scene(s, path.resolve().parent))
+
+
+def open_scene(source: Source, base: Path, light: int) -> tuple[Path | dict[str, Any], Scene]:
+    """The scene of an experiment: where it comes from, as ``Experiment.scene`` says it, and itself.
+
+    Raises:
+        InputError: There is no such file, something in it is wrong, or it has no light of that index.
+    """
+    from experiments.scenes import load_scene, scene_from_source
+
+    scene_source = _scene_source(source, base)
+    if isinstance(scene_source, Path):
+        scene = load_scene(scene_source)
+    else:
+        scene = scene_from_source(source, ("scene",), base=base)
+    if light >= len(scene.lights):
+        raise source.error(f"the scene has {len(scene.lights)} light(s); there is no light {light}.", ("light",))
+    return scene_source, scene
 
 
 def _resolved(
@@ -124,19 +147,11 @@ def _resolved(
     base: Path,
     plugins: Mapping[str, type],
 ) -> Experiment:
-    from experiments.scenes import load_scene, scene_from_source
-
     labels = [run.label for run in runs]
     if file.baseline is not None and file.baseline not in labels:
         message = f"no technique has the label '{file.baseline}'." + nearest(file.baseline, labels)
         raise source.error(message, ("baseline",))
-    scene_source = _scene_source(source, base)
-    if isinstance(scene_source, Path):
-        scene = load_scene(scene_source)
-    else:
-        scene = scene_from_source(source, ("scene",), base=base)
-    if file.light >= len(scene.lights):
-        raise source.error(f"the scene has {len(scene.lights)} light(s); there is no light {file.light}.", ("light",))
+    scene_source, scene = open_scene(source, base, file.light)
     for run in runs:
         check_needs(plugins[run.name], scene, scene.lights[file.light], source=source, loc=run.loc)
     return Experiment(

@@ -65,6 +65,9 @@ def _draw(frames: pd.DataFrame, passes: pd.DataFrame, table: pd.DataFrame) -> di
         ),
         "frame_ms": (plots.frame_times(frames, look), _SCREEN),
     }
+    if frames["frame"].nunique() > 1:
+        title = "milliseconds per frame"
+        out["frame_ms_per_frame"] = (plots.per_frame(frames, look, "frame_ms", title, log=True), _SCREEN)
     if not passes.empty:
         out["passes"] = (plots.pass_times(passes, labels), _SCREEN)
     if frames["m_x_max"].notna().any() and frames["frame"].nunique() > 1:
@@ -91,7 +94,7 @@ def _page(
         loader=PackageLoader("experiments.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     page.filters["number"] = number
-    page.filters["plain"] = _plain
+    page.filters["plain"] = plain
     return page.get_template("report.html").render(
         run=run,
         environment=environment["environment"],
@@ -151,11 +154,12 @@ def number(value: Any, digits: int = 3) -> str:
     return f"{value:.{digits - 1}e}"
 
 
-def _plain(value: Any) -> str:
+def plain(value: Any) -> str:
+    """A value of environment.json for people."""
     if isinstance(value, dict):
-        return ", ".join(f"{key} {_plain(item)}" for key, item in value.items())
+        return ", ".join(f"{key} {plain(item)}" for key, item in value.items())
     if isinstance(value, list | tuple):
-        return ", ".join(_plain(item) for item in value)
+        return ", ".join(plain(item) for item in value)
     return "" if value is None else str(value)
 
 

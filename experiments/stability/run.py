@@ -31,6 +31,7 @@ def run_stability(
     device: str = "cpu",
     threads: int | None = None,
     resume: bool = False,
+    skips: bool = True,
     progress: Progress | None = None,
 ) -> Path:
     """Renders every technique on every level of every case, and writes stability.csv as it goes and a heat map.
@@ -41,6 +42,7 @@ def run_stability(
         plugins: Technique classes by name.
         device: ``cpu`` or a CUDA device.
         threads: CPU threads; None for all.
+        skips: Whether work that a scene cannot need may be left out.
         resume: Keep the cases that an interrupted run of the same experiment has completed.
         progress: Is told what happens; counts cases.
 
@@ -70,7 +72,7 @@ def run_stability(
             if progress:
                 progress(i, len(stability.cases), case)
             if case not in done:
-                for row in examine(techniques, [case], device=device, threads=threads):
+                for row in examine(techniques, [case], device=device, threads=threads, skips=skips):
                     table.append([row])
     finally:
         table.close()

@@ -34,7 +34,12 @@ def concerned(technique: type[Technique], case: Case) -> bool:
 
 
 def examine(
-    techniques: Mapping[str, type[Technique]], cases: Sequence[str], *, device: str, threads: int | None
+    techniques: Mapping[str, type[Technique]],
+    cases: Sequence[str],
+    *,
+    device: str,
+    threads: int | None,
+    skips: bool = True,
 ) -> Iterator[Row]:
     """Rows of stability.csv, level by level.
 
@@ -43,6 +48,7 @@ def examine(
         cases: Keys of ``CASES``.
         device: Warp device.
         threads: CPU threads; None for all.
+        skips: Whether work that a scene cannot need may be left out.
     """
     for name in cases:
         case = CASES[name]
@@ -54,7 +60,7 @@ def examine(
                     continue
                 kind = light_kind_of(technique)
                 if kind not in views:
-                    views[kind] = Stage(case.build(level, kind), device, threads)
+                    views[kind] = Stage(case.build(level, kind), device, threads, skips)
                 first = level == case.levels[0]
                 verdict = views[kind].verdict(technique, None if first else easy.get(technique.name), case.judged)
                 if first:
@@ -80,10 +86,11 @@ class Stage:
         setting: The level.
         device: Warp device.
         threads: CPU threads; None for all.
+        skips: Whether work that the scene cannot need may be left out.
     """
 
-    def __init__(self, setting: Setting, device: str, threads: int | None) -> None:
-        self.setting, self.device, self.threads = setting, device, threads
+    def __init__(self, setting: Setting, device: str, threads: int | None, skips: bool = True) -> None:
+        self.setting, self.device, self.threads, self.skips = setting, device, threads, skips
         self.geometry = Geometry(setting.scene, device, threads)
         hard, soft = find("ray_cast_point_shadow"), find("reference_multisample")
         fine = {"samples": TRUTH_SAMPLES}
@@ -121,6 +128,7 @@ class Stage:
             threads=self.threads,
             seed=seed,
             projection=compose(self.setting.projection),
+            skips=self.skips,
         )
         for _ in range(HISTORY_FRAMES if technique.needs.history else 1):
             session.begin(0)

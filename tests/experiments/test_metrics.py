@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fake_engine import HEIGHT, WIDTH, camera, floor_positions, true_visibility
 
-from experiments.carry_over import carry_over
+from experiments.carry_over import carry_over, disoccluded
 from experiments.metrics import METRICS, Measured, distinguishable, evaluate, flip_map
 from wkernels.views import eye_view
 
@@ -128,6 +128,40 @@ def test_points_that_were_hidden_have_no_previous_value() -> None:
     carried = carry_over(visibility, wall, ws_to_ss(0), floor_positions(0))
     assert np.isnan(carried[:, : half - 1]).all()
     assert np.isfinite(carried[2:-1, half + 1 : -1]).all()
+
+
+def test_a_still_camera_uncovers_nothing() -> None:
+    assert not disoccluded(floor_positions(0), ws_to_ss(0), floor_positions(0)).any()
+
+
+def test_what_stood_behind_a_wall_is_disoccluded_and_nothing_else() -> None:
+    position = floor_positions(0)
+    wall, half, eye = position.copy(), WIDTH // 2, camera(0).eye
+    wall[:, :half] = eye + 0.4 * (position[:, :half] - eye)
+    unseen, floor = disoccluded(wall, ws_to_ss(0), position), np.isfinite(position[..., 0])
+    assert not unseen[~floor].any()
+    assert unseen[:, : half - 1][floor[:, : half - 1]].all()
+    assert not unseen[:, half + 1 :].any()
+
+
+def test_silhouettes_between_pixels_are_not_disoccluded() -> None:
+    """Half a pixel to the side, the four pixels around an edge lie on two surfaces; both were seen."""
+    position = floor_positions(0)
+    step = 0.5 * (position[:, 2:] - position[:, 1:-1])
+    assert not disoccluded(position, ws_to_ss(0), (position[:, 1:-1] + step)[8:-1]).any()
+    wall, eye = position.copy(), camera(0).eye
+    wall[:, : WIDTH // 2] = eye + 0.4 * (position[:, : WIDTH // 2] - eye)
+    between = (eye + 0.4 * (position[:, 1:-1] + step - eye))[8:-1, : WIDTH // 2 - 1]
+    assert not disoccluded(wall, ws_to_ss(0), between).any()
+
+
+def test_what_comes_into_the_picture_is_disoccluded() -> None:
+    unseen = disoccluded(floor_positions(0), ws_to_ss(0), floor_positions(60))  # 1.2 to the right
+    ss = floor_positions(60).reshape(-1, 3).astype(float) @ ws_to_ss(0)[:, :3].T + ws_to_ss(0)[:, 3]
+    outside = (np.abs(ss[:, 0]) > ss[:, 3]).reshape(HEIGHT, WIDTH)
+    known = np.isfinite(floor_positions(60)[..., 0]) & (np.arange(HEIGHT)[:, None] > 8)
+    assert 0.05 < outside[known].mean() < 0.9
+    assert (unseen == outside)[known].mean() > 0.98  # half a pixel at the border may count as seen
 
 
 def test_descriptors_are_complete() -> None:

@@ -248,6 +248,35 @@ def test_more_samples_go_on_where_fewer_ended(counts: tuple[int, ...], monkeypat
     assert render(scene(), samples=counts[-1]).from_cache
 
 
+def test_an_interrupted_reference_goes_on_where_its_last_part_ended(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the bits of one that was not; its parts leave one file in the end."""
+    monkeypatch.setattr(reference, "PART", 16)
+    whole = render(scene(), samples=40, cache=False)
+    trace, traced = ReferenceRenderer._trace, []
+
+    def once(self: ReferenceRenderer, frame: int, samples: int, start: int = 0) -> Reference:
+        if len(traced) == 2:
+            raise KeyboardInterrupt
+        traced.append((samples, start))
+        return trace(self, frame, samples, start)
+
+    monkeypatch.setattr(ReferenceRenderer, "_trace", once)
+    with pytest.raises(KeyboardInterrupt):
+        render(scene(), samples=40)
+    assert traced == [(16, 0), (16, 16)]
+    monkeypatch.setattr(
+        ReferenceRenderer, "_trace", lambda self, *args: (traced.append(args[1:]), trace(self, *args))[1]
+    )
+    assert same(render(scene(), samples=40), whole)
+    assert traced[2:] == [(8, 32)] and render(scene(), samples=40).from_cache
+    for file in cache.iterdir():
+        file.unlink()
+    assert same(render(scene(), samples=40), whole)
+    assert len(list(cache.iterdir())) == 1
+
+
 def test_weighted_samples_are_not_gone_on_with() -> None:
     """A textured light's sums are not whole numbers: another order of adding would give other bits."""
     textured = scene(texture=np.array([[0.0, 1.0], [3.0, 0.5]]))
@@ -261,7 +290,9 @@ def test_progressive_references_end_in_the_whole_one() -> None:
         steps = list(renderer.progressive(0, batch=32))
         assert [samples for samples, _ in steps] == [32, 64, 96, 100]
         whole, last = renderer.render(0), steps[-1][1]
-        np.testing.assert_allclose(last.visibility, whole.visibility, atol=0.02 if of.lights[0].texture is not None else 0)
+        np.testing.assert_allclose(
+            last.visibility, whole.visibility, atol=0.02 if of.lights[0].texture is not None else 0
+        )
         errors = [np.nanmean(made.standard_error) for _, made in steps]
         assert errors == sorted(errors, reverse=True)
 

@@ -20,6 +20,8 @@ from experiments.explain import explain
 from experiments.images import read_exr, write_exr
 from experiments.report import recompute_metrics, write_report
 from experiments.report.labels import place_labels
+from experiments.report.plots import per_frame
+from experiments.report.style import Look
 from experiments.report.write import headline, number
 from experiments.runner import TechniquesFailed, run
 from experiments.store import Store
@@ -208,12 +210,26 @@ def test_report_needs_only_the_folder_and_repeats_itself(copy: Path) -> None:
         "fps.png",
         "error_per_frame.png",
         "frame_ms.png",
+        "frame_ms_per_frame.png",
         "passes.png",
     } <= names
     shutil.rmtree(copy / "plots")
     (copy / "summary.csv").unlink()
     assert write_report(copy) == copy / "report.html"
     assert {path: path.read_bytes() for path in before} == before
+
+
+def test_disocclusion_is_drawn_under_the_curves_where_there_is_any() -> None:
+    frames = make_frames([("a", 0, 2.0, 0.1, 0.01), ("a", 1, 4.0, 0.1, 0.01), ("a", 2, 3.0, 0.1, 0.01)])
+    look = Look(["a"])
+    assert len(per_frame(frames, look, "frame_ms", "ms", log=True).axes) == 1
+    frames["disoccluded"] = [np.nan, 0.0, 0.0]
+    assert len(per_frame(frames, look, "frame_ms", "ms", log=True).axes) == 1
+    frames["disoccluded"] = [np.nan, 0.25, 0.0]
+    above, below = per_frame(frames, look, "frame_ms", "ms", log=True).axes
+    assert above.get_ylabel() == "ms" and "disoccluded" in below.get_ylabel()
+    assert below.get_xlabel() == "frame" and below.get_ylim()[1] == pytest.approx(26.25)
+    assert above.get_position().y0 > below.get_position().y1
 
 
 def test_report_of_an_interrupted_run_says_so(copy: Path) -> None:

@@ -115,6 +115,13 @@ def test_flicker_follows_surfaces_and_starts_on_the_second_frame(tmp_path: Path)
     assert max(steady[1:]) < 0.02 < history[-1]  # the fake history drifts by 0.01 (frame + 1) per frame
 
 
+def test_every_frame_but_the_first_says_what_it_saw_anew(tmp_path: Path) -> None:
+    rows = finished(tmp_path, make_experiment(frames=[0, 40, 60])).rows("frames")
+    shares = {int(row["frame"]): row["disoccluded"] for row in rows}
+    assert list(rows[0])[-1] == "disoccluded" and shares[0] == ""
+    assert 0.0 < float(shares[40]) < 0.5 and len({row["disoccluded"] for row in rows}) == 3
+
+
 def test_a_failing_technique_is_recorded_and_the_others_go_on(tmp_path: Path) -> None:
     runs = [make_run("good"), make_run("bad", fails_on=2), make_run("late", "remembering", fails_on=3)]
     with pytest.raises(
