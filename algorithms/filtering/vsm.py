@@ -40,7 +40,7 @@ from wkernels.filtering import (
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer
 from wkernels.lanes import LANES, Floats, Pairs, flat_floats, runs_of, runs_per_row, uses_lanes
-from wkernels.light_map import BY_MARGIN, Bias, LightMap
+from wkernels.light_map import Bias, LightMap
 from wkernels.moments import (
     Chebyshev,
     depth_range,
@@ -216,7 +216,7 @@ class Vsm(Technique):
         if params.width == "fixed":
             image = self._blurred(frame, moments)
             with frame.timed("moment lookup"):
-                if uses_lanes(frame.device) and light_map.selection == BY_MARGIN:
+                if uses_lanes(frame.device):
                     inputs = [lane_views(gbuffer, light_map), *common, flat_floats(image)]
                     runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
                     frame.launch(look_up_blurred_lanes, runs, inputs, [visibility])
