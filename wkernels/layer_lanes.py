@@ -1,4 +1,4 @@
-"""Which layer of a light map the receivers of a run read: ``light_map.to_layer``, 16 at a time; see ``docs/lanes.md``."""
+"""The layer of a light map that each receiver of a run reads: ``light_map.to_layer``, 16 at a time; ``docs/lanes.md``."""
 
 from __future__ import annotations
 
