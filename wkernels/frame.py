@@ -25,6 +25,7 @@ from wkernels.light_map_drawing import draw_light_map, views_stamp
 from wkernels.light_samples import LightSamples
 from wkernels.light_views import scene_views
 from wkernels.lights import Light
+from wkernels.map_storage import MapOptions, lay_out
 from wkernels.raster import CULL_NONE, Rasteriser
 from wkernels.rays import LightHull
 from wkernels.sampling import light_set
@@ -35,7 +36,11 @@ from wkernels.views import HostView, View, eye_view
 MAP_BUDGET_BYTES = 512 * 2**20  # maps of many light samples are kept for later frames up to this much memory
 
 LightViews = Callable[[np.ndarray, Bounds, Bounds, int, HostView], list[HostView]]
-"""A projection: light sample (4,), receivers' box, casters' box, map resolution, eye view -> one view per layer."""
+"""A projection: light sample (4,), receivers' box, casters' box, map resolution, eye view -> one view per layer.
+
+It may have an attribute ``map_options``, a ``MapOptions``, which says how its maps are stored and drawn.
+"""
+PLAIN_MAP = MapOptions()
 
 
 class Renders(Protocol):
@@ -341,13 +346,15 @@ class Session:
         if light_ws is None or self.light_views is None:
             self.light_views = (views, sample)
         key: Hashable = ("map", slot, resolution, cull, tag_moving_casters)
-        if key not in self._products and self._map_bytes() + 4 * resolution**2 * len(views) > MAP_BUDGET_BYTES:
+        storage = getattr(self.projection, "map_options", PLAIN_MAP).storage
+        layout = lay_out(storage, len(views), resolution)
+        if key not in self._products and self._map_bytes() + 4 * layout.texels > MAP_BUDGET_BYTES:
             key = ("map", "shared", resolution, cull, tag_moving_casters)
         inputs = (self.geometry.version, views_stamp(views))
-        triangle = self.buffer("map triangles", (resolution, resolution), wp.int32) if tag_moving_casters else None
+        triangle = self.buffer("map triangles", (resolution, layout.pitch), wp.int32) if tag_moving_casters else None
 
         def build(old: LightMap | None) -> LightMap:
-            return draw_light_map(old, self.geometry, views, sample, self._rasteriser, cull, triangle)
+            return draw_light_map(old, self.geometry, views, sample, self._rasteriser, cull, triangle, storage)
 
         out: LightMap = self.product("light depth map", key, inputs, build)
         return out

@@ -1,4 +1,4 @@
-"""The layer of a light map that each receiver of a run reads: ``light_map.to_layer``, 16 at a time; ``docs/lanes.md``."""
+"""The layers of a light map that the receivers of a run read: ``light_map.to_layer``, 16 at a time."""
 
 from __future__ import annotations
 

@@ -8,9 +8,10 @@ import numpy as np
 import warp as wp
 
 from wkernels.geometry import MOVES, Geometry
-from wkernels.lanes import LANES, Floats, Ints, runs_of, uses_lanes
+from wkernels.lanes import LANES, Floats, Ints, runs_of, runs_per_row, uses_lanes
 from wkernels.launch import launch
 from wkernels.light_map import BY_DEPTH, BY_MARGIN, FIRST_INSIDE, LightMap
+from wkernels.map_storage import allocate, lay_out, layer_images
 from wkernels.raster import Rasteriser
 from wkernels.views import HostView, ProjectiveView
 
@@ -21,8 +22,7 @@ def tag_moving(
     triangle: wp.array2d(dtype=int),
     triangle_mesh: wp.array(dtype=int),
     mesh_flags: wp.array(dtype=int),
-    layer: int,
-    depth_out: wp.array3d(dtype=float),
+    depth_out: wp.array2d(dtype=float),
 ):
     """Negates the depth of texels whose caster moves (Scherzer et al. 2009, section 3.4)."""
     row, x = wp.tid()
@@ -30,7 +30,7 @@ def tag_moving(
     t = triangle[y, x]
     if t >= 0:
         if (mesh_flags[triangle_mesh[t]] & MOVES) != 0:
-            depth_out[layer, y, x] = -depth_out[layer, y, x]
+            depth_out[y, x] = -depth_out[y, x]
 
 
 @wp.kernel
@@ -38,13 +38,15 @@ def tag_moving_lanes(
     first: int,
     triangle: wp.array(dtype=Ints),
     moving: wp.array(dtype=wp.vec2i),
-    pixels: int,
+    width: int,
+    pitch: int,  # of both images
     depth_out: wp.array(dtype=Floats),
 ):
     """``tag_moving`` of a run of texels of one layer; ``moving`` are ranges of triangles, begin and end."""
-    run = first + wp.tid()
-    at = wp.min(run * LANES, pixels - LANES)
-    own = run * LANES - at  # the last run begins within the one before, whose texels are done
+    row, run = wp.tid()
+    start = wp.min(run * LANES, width - LANES)
+    own = run * LANES - start  # a row's last run begins within the one before, whose texels are done
+    at = (first + row) * pitch + start
     triangles = triangle[at]
     depth = depth_out[at]
     for i in range(moving.shape[0]):
@@ -64,17 +66,19 @@ def draw_light_map(
     rasteriser: Rasteriser,
     cull: int,
     triangle: wp.array | None,
+    storage: str = "separate",
 ) -> LightMap:
     """Draws a map; a new struct each time, so that the struct itself stands for its content.
 
     Args:
-        old: An earlier map of the same resolution whose memory is taken over, if it has as many layers.
+        old: An earlier map of the same resolution and storage whose memory is taken over, if it has as many layers.
         geometry: What casts.
         views: One square view per layer.
         light_ws: The light sample (4,), rebased world.
         rasteriser: Draws the layers.
         cull: Faces that are left out, as seen from the light.
-        triangle: int32 (R, R) scratch to tag moving casters with, or None to leave them untagged.
+        triangle: int32 (R, pitch) scratch to tag moving casters with, or None to leave them untagged.
+        storage: A key of ``map_storage.PLACES``.
     """
     device, layers, resolution = rasteriser.device, len(views), views[0].width
 
@@ -82,11 +86,14 @@ def draw_light_map(
         values = np.stack([getattr(view, name) for view in views]).astype(np.float32)
         return wp.array(values, dtype=wp.vec3, device=device)
 
+    layout = lay_out(storage, layers, resolution)
     out = LightMap()
     if old is not None and old.layers == layers:
-        out.depth = old.depth
+        out.depth, out.layer_begin = old.depth, old.layer_begin
     else:
-        out.depth = wp.empty((layers, resolution, resolution), dtype=float, device=device)
+        out.depth = allocate(layout, float, device)
+        out.layer_begin = wp.array(np.array(layout.begin, dtype=np.int32), dtype=int, device=device)
+    out.pitch = layout.pitch
     matrices = np.stack([view.ws_to_ss for view in views]).astype(np.float32)
     out.ws_to_ls = wp.array(matrices, dtype=wp.mat44, device=device)
     out.right_ws, out.up_ws = axes("right_ws"), axes("up_ws")
@@ -94,28 +101,27 @@ def draw_light_map(
     out.light_ws, out.near = wp.vec4(*light_ws), views[0].near
     _choose_layers(out, views, device)
     device_views = [view.to_device() for view in views]
+    layers_out = layer_images(out.depth, layout)
     if triangle is None:
-        rasteriser.draw_many(geometry.points_ws, geometry.caster_indices, device_views, out.depth, cull=cull)
+        rasteriser.draw_many(geometry.points_ws, geometry.caster_indices, device_views, layers_out, cull=cull)
         return out
-    for layer, view in enumerate(device_views):
-        rasteriser.draw(geometry.points_ws, geometry.caster_indices, view, out.depth[layer], triangle, cull)
-        _tag_moving(out.depth, layer, geometry, triangle, rasteriser)
+    owner = triangle[:, :resolution]
+    for view, depth in zip(device_views, layers_out, strict=True):
+        rasteriser.draw(geometry.points_ws, geometry.caster_indices, view, depth, owner, cull)
+        _tag_moving(depth, geometry, owner, rasteriser)
     return out
 
 
-def _tag_moving(depth: wp.array, layer: int, geometry: Geometry, triangle: wp.array, rasteriser: Rasteriser) -> None:
+def _tag_moving(depth: wp.array, geometry: Geometry, triangle: wp.array, rasteriser: Rasteriser) -> None:
     device, threads = rasteriser.device, rasteriser.threads
-    pixels = triangle.size
-    if not uses_lanes(device) or pixels < LANES:
-        inputs = [triangle, geometry.triangle_mesh, geometry.mesh_flags, layer]
-        launch(tag_moving, triangle.shape, inputs, [depth], device=device, threads=threads)
+    height, width = depth.shape
+    if not uses_lanes(device) or width < LANES:
+        inputs = [triangle, geometry.triangle_mesh, geometry.mesh_flags]
+        launch(tag_moving, depth.shape, inputs, [depth], device=device, threads=threads)
         return
-    runs = -(-pixels // int(LANES))
-    inputs = [runs_of(triangle, Ints), geometry.moving_triangles, pixels]
-    if pixels % int(LANES):
-        # the last two runs overlap: one thread does them one after the other
-        threads = 1
-    launch(tag_moving_lanes, runs, inputs, [runs_of(depth[layer], Floats)], device=device, threads=threads)
+    inputs = [runs_of(triangle, Ints), geometry.moving_triangles, width, depth.strides[0] // 4]
+    runs = (height, runs_per_row(width))
+    launch(tag_moving_lanes, runs, inputs, [runs_of(depth, Floats)], device=device, threads=threads)
 
 
 def _choose_layers(out: LightMap, views: Sequence[HostView], device: str) -> None:

@@ -23,7 +23,7 @@ class LaneViews:
     flags: wp.array(dtype=Ints)  # a run from every pixel on
     position_ws: wp.array(dtype=Vectors)  # a run from every component on
     normal_ws: wp.array(dtype=Vectors)
-    depth: wp.array(dtype=float)  # flat (layers R R,), to be fetched from anywhere
+    depth: wp.array(dtype=float)  # of all layers, to be fetched from anywhere
 
 
 @wp.struct

@@ -26,7 +26,7 @@ from wkernels.filtering import (
 )
 from wkernels.launch import launch
 from wkernels.light_extent import light_half_axes
-from wkernels.light_map import Bias, LightMap, Receiver, locate, locate_receiver
+from wkernels.light_map import Bias, LightMap, Receiver, depths_on_host, locate, locate_receiver
 from wkernels.lights import (
     DirectionalLight,
     DiscLight,
@@ -332,7 +332,7 @@ def test_the_footprint_is_the_light_laid_over_the_map(lamp: str, device: str) ->
     light_map = frame.light_map(512)
     footprint = pull_footprint(frame, light_map)
     assert pull_footprint(frame, light_map) is footprint
-    depth = light_map.depth.numpy()
+    depth = depths_on_host(light_map)
     np.testing.assert_array_equal(footprint.nearest_depth.numpy(), depth.reshape(light_map.layers, -1).min(axis=1))
     assert light_map.layers == (6 if lamp == "six faces" else 1)
     assert footprint.is_point == (0.0 if lamp == "sun" else 1.0)

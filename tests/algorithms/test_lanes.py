@@ -137,7 +137,7 @@ def locate_lanes(first: int, views: LaneViews, light_map: LightMap, bias: Bias, 
 
 SPLIT = {
     "depth": {"fit": "focused", "splits": 4, "scheme": "log"},
-    "best": {"fit": "focused", "splits": 4, "scheme": "log", "selection": "best"},
+    "best, atlas": {"fit": "focused", "splits": 4, "scheme": "log", "selection": "best", "storage": "atlas9"},
     "warped": {"fit": "focused", "splits": 4, "scheme": "log", "warp": "lispsm_nopt"},
     "warped, best": {"fit": "focused", "splits": 8, "warp": "lispsm_nrepar", "selection": "best"},
 }

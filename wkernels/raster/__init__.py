@@ -88,13 +88,14 @@ class Rasteriser:
             points_ws: vec3, shape (V,).
             indices: int32, shape (3 T,).
             view: Target size and projection; 1 to 8192 pixels per side.
-            depth_out: float32 (H, W): linear depth of the nearest surface, +inf where there is none.
+            depth_out: float32 (H, W), a part of a larger image too: linear depth of the nearest surface, +inf where
+                there is none.
             triangle_out: int32 (H, W): its triangle, -1 where there is none.
             cull: CULL_NONE, CULL_BACK or CULL_FRONT, as seen from the view (counter-clockwise is front).
         """
         wake_workers(self.device, self.threads)
-        whole = triangle_out is None or triangle_out.is_contiguous
-        if whole and (key := self._lane_key(indices, view, depth_out)) is not None:
+        alike = triangle_out is None or triangle_out.strides == depth_out.strides
+        if alike and (key := self._lane_key(indices, view, depth_out)) is not None:
             self._lanes.draw(points_ws, indices, view, key, depth_out, triangle_out, cull)
             return
         triangles, total = self._project(points_ws, indices, view, cull)
@@ -109,8 +110,8 @@ class Rasteriser:
         points_ws: wp.array,
         indices: wp.array,
         views: Sequence[View],
-        depth_out: wp.array,
-        triangle_out: wp.array | None = None,
+        depth_out: wp.array | Sequence[wp.array],
+        triangle_out: wp.array | Sequence[wp.array] | None = None,
         cull: int = CULL_NONE,
     ) -> None:
         """Draws the same triangles into many views, the same bits as ``draw`` into each.
@@ -119,8 +120,8 @@ class Rasteriser:
             points_ws: vec3, shape (V,).
             indices: int32, shape (3 T,).
             views: One per layer, all of the same size.
-            depth_out: float32 (layers, H, W), as for ``draw``.
-            triangle_out: int32 (layers, H, W), or None.
+            depth_out: float32, (layers, H, W) or one (H, W) each, as for ``draw``.
+            triangle_out: int32, likewise, or None.
             cull: CULL_NONE, CULL_BACK or CULL_FRONT, as seen from each view.
         """
         for layer, view in enumerate(views):
@@ -165,7 +166,7 @@ class Rasteriser:
         counted.depth, counted.test, counted.front, counted.back = depth, test, front, back
         cull = CULL_FRONT if front == 0 else CULL_BACK if back == 0 else CULL_NONE
         key = self._lane_key(indices, view, count_out)
-        if key is not None and not key.warped and depth.is_contiguous:
+        if key is not None and not key.warped and depth.is_contiguous and count_out.is_contiguous:
             self._counter.count(points_ws, indices, view, key, counted, count_out, cull)
             return
         triangles, total = self._project(points_ws, indices, view, cull)
@@ -173,7 +174,7 @@ class Rasteriser:
 
     def _lane_key(self, indices: wp.array, view: View, out: wp.array) -> DepthKey | None:
         """``depth_key(view)`` where lanes are used, else None."""
-        fits = len(indices) // 3 < MAX_TRIANGLES and view.width >= PIECE and out.is_contiguous
+        fits = len(indices) // 3 < MAX_TRIANGLES and view.width >= PIECE and out.strides[1] == 4
         lanes = self.path == "lanes" and wp.get_device(self.device).is_cpu and fits
         return depth_key(view) if lanes else None
 

@@ -80,13 +80,14 @@ class LaneRasteriser(LaneLists):
 
 def _target(view: View, depth_out: wp.array, triangle_out: wp.array | None) -> Target:
     out = Target()
-    pixels = view.width * view.height
+    pitch = depth_out.strides[0] // 4
+    pixels = pitch * (view.height - 1) + view.width
     out.key, out.key_piece = _flat(depth_out.ptr, pixels, float), pieces(depth_out.ptr, pixels, Piece)
     if triangle_out is not None:
         address = triangle_out.ptr
         out.triangle, out.triangle_piece = _flat(address, pixels, float), pieces(address, pixels, Piece)
         out.triangle_out, out.triangle_out_piece = _flat(address, pixels, int), pieces(address, pixels, IntPiece)
-    out.with_triangles, out.width, out.height = int(triangle_out is not None), view.width, view.height
+    out.with_triangles, out.width, out.height, out.pitch = int(triangle_out is not None), view.width, view.height, pitch
     return out
 
 
