@@ -74,7 +74,8 @@ def flat_map(depth: np.ndarray, device: str) -> LightMap:
     out = LightMap()
     layers = np.asarray(depth, np.float32).reshape(-1, size, size)
     matrix = np.array([[2.0 / size, 0, 0, -1], [0, 2.0 / size, 0, 1], [0, 0, 1, 0], [0, 0, 0, 1]], np.float32)
-    out.depth = wp.array(layers, dtype=float, device=device)
+    out.depth, out.pitch = wp.array(layers.ravel(), dtype=float, device=device), size
+    out.layer_begin = wp.array(np.arange(len(layers), dtype=np.int32) * size * size, dtype=int, device=device)
     out.ws_to_ls = wp.array(np.tile(matrix, (len(layers), 1, 1)), dtype=wp.mat44, device=device)
     out.right_ws = wp.array(np.tile(np.float32([1, 0, 0]), (len(layers), 1)), dtype=wp.vec3, device=device)
     out.up_ws = wp.array(np.tile(np.float32([0, 1, 0]), (len(layers), 1)), dtype=wp.vec3, device=device)

@@ -12,6 +12,7 @@ from wkernels.raster.lane_bands import LANES as BAND_LANES
 from wkernels.raster.lane_bands import Ints as BandInts
 from wkernels.raster.lane_culling import (
     LANES,
+    CullShape,
     Floats,
     Ints,
     Longs,
@@ -86,12 +87,13 @@ class LaneLists:
         survivor, span, clipped = (scratch.array(name, (triangles,), int) for name in ("survivor", "span", "clipped"))
         found = scratch.array("found", (2, CHUNKS + 1), int)
         counts = scratch.array("counts", (bands, CHUNKS + 1), int)
-        shape = [view.width, view.height, band_shift, cull]
+        shape = CullShape()
+        shape.width, shape.height, shape.band_shift, shape.cull = view.width, view.height, band_shift, cull
         outputs = [survivor, span, clipped, found, counts]
         found.numpy()[:] = 0
         counts.numpy()[:] = 0
         if triangles:
-            inputs = [self._corner_runs, self._corner_pitch, self._vertex, 0, triangles, 0, CHUNKS, *shape]
+            inputs = [self._corner_runs, self._corner_pitch, self._vertex, 0, triangles, 0, CHUNKS, shape]
             scratch.launch(cull_lanes, CHUNKS, inputs, outputs)
         chunk_begin = _chunk_begin(triangles, clip_begin)
         crossing = [
@@ -112,7 +114,7 @@ class LaneLists:
             inputs = [clip_screen, clip_corners, clip_vertex, clip_begin, perspective]
             outputs = [self._vertex, self._key, self._corners, self._corner_pitch * LANES]
             scratch.launch(append_clipped, slots, inputs, outputs)
-            inputs = [self._corner_runs, self._corner_pitch, self._vertex, clip_begin, total, CHUNKS, 1, *shape]
+            inputs = [self._corner_runs, self._corner_pitch, self._vertex, clip_begin, total, CHUNKS, 1, shape]
             scratch.launch(cull_lanes, 1, inputs, [survivor, span, clipped, found, counts])
 
         starts = np.concatenate([[0], np.cumsum(counts.numpy().ravel(), dtype=np.int64)])
