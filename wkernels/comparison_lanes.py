@@ -56,7 +56,7 @@ def texel_depth_lane(
 
 @wp.func
 def first_texels(light_map: LightMap, receivers: ReceiverRun):
-    """Where in the map each lane's layer begins; that of the first for lanes without one, which must not index outside."""
+    """Where in the map each lane's layer begins; the first for lanes without one, which must not index outside."""
     layers = receivers.layer
     layer_begin = light_map.layer_begin
     begin = Ints(layer_begin[0])

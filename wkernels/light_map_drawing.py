@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-from wkernels.geometry import MOVES, Geometry
+from wkernels.geometry import MOVES, Bounds, Geometry
 from wkernels.lanes import LANES, Floats, Ints, runs_of, runs_per_row, uses_lanes
 from wkernels.launch import launch
 from wkernels.light_map import BY_DEPTH, BY_MARGIN, FIRST_INSIDE, LightMap
-from wkernels.map_storage import allocate, lay_out, layer_images
-from wkernels.raster import Rasteriser
+from wkernels.map_storage import PLAIN_MAP, MapOptions, allocate, lay_out, layer_images
+from wkernels.raster import Rasteriser, TriangleBlocks
 from wkernels.views import HostView, ProjectiveView
 
 
@@ -66,8 +66,10 @@ def draw_light_map(
     rasteriser: Rasteriser,
     cull: int,
     triangle: wp.array | None,
-    storage: str = "separate",
-) -> LightMap:
+    options: MapOptions = PLAIN_MAP,
+    blocks: TriangleBlocks | None = None,
+    everything: bool = False,
+) -> tuple[LightMap, int]:
     """Draws a map; a new struct each time, so that the struct itself stands for its content.
 
     Args:
@@ -78,7 +80,11 @@ def draw_light_map(
         rasteriser: Draws the layers.
         cull: Faces that are left out, as seen from the light.
         triangle: int32 (R, pitch) scratch to tag moving casters with, or None to leave them untagged.
-        storage: A key of ``map_storage.PLACES``.
+        options: How it is stored and drawn; drawn in any other way than in passes only with ``blocks``.
+        blocks, everything: As for ``Rasteriser.draw_many``.
+
+    Returns:
+        The map, and how many pairs of a block of casters and a layer were left out.
     """
     device, layers, resolution = rasteriser.device, len(views), views[0].width
 
@@ -86,7 +92,7 @@ def draw_light_map(
         values = np.stack([getattr(view, name) for view in views]).astype(np.float32)
         return wp.array(values, dtype=wp.vec3, device=device)
 
-    layout = lay_out(storage, layers, resolution)
+    layout = lay_out(options.storage, layers, resolution)
     out = LightMap()
     if old is not None and old.layers == layers:
         out.depth, out.layer_begin = old.depth, old.layer_begin
@@ -101,15 +107,26 @@ def draw_light_map(
     out.light_ws, out.near = wp.vec4(*light_ws), views[0].near
     _choose_layers(out, views, device)
     device_views = [view.to_device() for view in views]
-    layers_out = layer_images(out.depth, layout)
-    if triangle is None:
-        rasteriser.draw_many(geometry.points_ws, geometry.caster_indices, device_views, layers_out, cull=cull)
-        return out
-    owner = triangle[:, :resolution]
-    for view, depth in zip(device_views, layers_out, strict=True):
-        rasteriser.draw(geometry.points_ws, geometry.caster_indices, view, depth, owner, cull)
-        _tag_moving(depth, geometry, owner, rasteriser)
-    return out
+    images = layer_images(out.depth, layout)
+    owner = None if triangle is None else triangle[:, :resolution]
+
+    def tag(layer: int) -> None:
+        if owner is not None:
+            _tag_moving(images[layer], geometry, owner, rasteriser)
+
+    beside = rasteriser.draw_many(
+        geometry.points_ws,
+        geometry.caster_indices,
+        device_views,
+        images,
+        None if owner is None else [owner] * layers,
+        cull,
+        blocks=blocks,
+        drawing=options.drawing,
+        everything=everything,
+        drawn=tag,
+    )
+    return out, beside
 
 
 def _tag_moving(depth: wp.array, geometry: Geometry, triangle: wp.array, rasteriser: Rasteriser) -> None:
@@ -133,6 +150,16 @@ def _choose_layers(out: LightMap, views: Sequence[HostView], device: str) -> Non
     out.selection = int(BY_DEPTH if choices[0].rule == "depth" else FIRST_INSIDE)
     out.eye_row = wp.vec4(*choices[0].eye_row)
     out.split_far = wp.array([choice.far for choice in choices], dtype=float, device=device)
+
+
+def hold_all(views: Sequence[HostView], casters: Bounds) -> bool:
+    """Whether every view holds all boxes of the casters, so that none can lie beside it."""
+    points = np.append(casters.corners, np.ones((len(casters.corners), 1)), axis=1)
+    for view in views:
+        h = points @ view.ws_to_ss.T
+        if not (np.abs(h[:, :2]) <= h[:, 3:]).all():
+            return False
+    return True
 
 
 def views_stamp(views: Sequence[HostView]) -> tuple[bytes, tuple]:

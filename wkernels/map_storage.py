@@ -1,7 +1,7 @@
 """Where the layers of a light map lie in memory (Stingl 2011, section 3.3.5 and Fig 3.16).
 
-A texel of a map is ``depth[layer_begin[layer] + row * pitch + column]``. Whatever the storage, a layer is a square of its own
-and filters end at its border, so that pictures do not depend on it.
+A texel of a map is ``depth[layer_begin[layer] + row * pitch + column]``. Whatever the storage, a layer is a square of
+its own and filters end at its border, so that pictures do not depend on it.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ PLACES: dict[str, int | None] = {
 }
 """The storages and how many layers they have room for; None: as many as a map has.
 
-``separate``: each layer begins on a memory page of its own; ``array``: one after the other; ``cube6``: likewise, always six
-faces; ``atlas4``, ``atlas9``, ``atlas16``: one square texture of 2 x 2, 3 x 3 or 4 x 4 tiles, in rows.
+``separate``: each layer begins on a memory page of its own; ``array``: one after the other; ``cube6``: likewise, always
+six faces; ``atlas4``, ``atlas9``, ``atlas16``: one square texture of 2 x 2, 3 x 3 or 4 x 4 tiles, in rows.
 """
 DRAWINGS = ("passes", "cloned", "instanced")
 PAGE = 1024
@@ -47,6 +47,9 @@ class MapOptions:
 
     storage: str = "separate"
     drawing: str = "passes"
+
+
+PLAIN_MAP = MapOptions()
 
 
 @dataclass(frozen=True)

@@ -94,9 +94,7 @@ def find_moments_lanes(
 
 
 @wp.func
-def lit_share_run(
-    chebyshev: Chebyshev, moments: wp.array(dtype=float), receivers: ReceiverRun, light_map: LightMap
-):
+def lit_share_run(chebyshev: Chebyshev, moments: wp.array(dtype=float), receivers: ReceiverRun, light_map: LightMap):
     """``lit_share`` of each lane with a receiver from ``sample_bilinear`` at its place, the others' visibility.
 
     ``moments`` are those of all layers, flat, in the layout of the map.
@@ -144,7 +142,7 @@ def lit_share_run(
 
 @wp.func
 def sample_bilinear(image: wp.array(dtype=wp.vec2), light_map: LightMap, layer: int, x: float, y: float):
-    """Bilinear lookup at a position in texels of an image in the layout of a map; the layer's border repeats beyond it."""
+    """Bilinear lookup at a position in texels, in the layout of a map; beyond a layer's border the nearest repeats."""
     last = light_map.resolution - 1
     left = wp.floor(x - 0.5)
     top = wp.floor(y - 0.5)

@@ -274,8 +274,8 @@ class Vsm(Technique):
         def build(old: wp.array | None) -> wp.array:
             images = layer_images(moments.image, moments.layout)
             shape = (len(images), moments.layout.resolution + 1, moments.layout.resolution + 1)
-            fits = old is not None and old.shape == shape
-            out = old if fits else wp.empty(shape, dtype=wp.vec2d, device=frame.device)
+            kept = old if old is not None and old.shape == shape else None
+            out = kept or wp.empty(shape, dtype=wp.vec2d, device=frame.device)
             for layer, image in enumerate(images):
                 summed_area_table(image, threads=frame.threads, out=out[layer])
             return out
