@@ -21,12 +21,12 @@ from wkernels.frame_result import G_BUFFER, SHADING, FrameResult, read_back
 from wkernels.geometry import Bounds, Geometry
 from wkernels.launch import launch, wake_workers
 from wkernels.light_map import LightMap
-from wkernels.light_map_drawing import draw_light_map, hold_all, views_stamp
+from wkernels.light_map_drawing import CasterBlocks, draw_light_map, views_stamp
 from wkernels.light_samples import LightSamples
 from wkernels.light_views import scene_views
 from wkernels.lights import Light
 from wkernels.map_storage import PLAIN_MAP, MapOptions, lay_out
-from wkernels.raster import CULL_NONE, Rasteriser, TriangleBlocks
+from wkernels.raster import CULL_NONE, Rasteriser
 from wkernels.rays import LightHull
 from wkernels.sampling import light_set
 from wkernels.shading import shade
@@ -109,8 +109,7 @@ class Session:
         self.count = 0  # frames since the last reset: how often history has been committed
         self.standard_error: wp.array | None = None  # a technique may set it in render
         self._rasteriser = Rasteriser(device, threads)
-        self._blocks: TriangleBlocks | None = None
-        self._blocks_version = 0
+        self._blocks = CasterBlocks(geometry, device, threads)
         self._timer = PassTimer(device)
         self._products: dict[Hashable, _Product] = {}
         self._buffers: dict[Hashable, wp.array] = {}
@@ -355,29 +354,14 @@ class Session:
         triangle = self.buffer("map triangles", (resolution, layout.pitch), wp.int32) if tag_moving_casters else None
 
         def build(old: LightMap | None) -> LightMap:
-            blocks = None
-            if options.drawing != "passes" or (self.skips and not hold_all(views, casters)):
-                blocks = self._caster_blocks()
-            light_map, beside = draw_light_map(
-                old, self.geometry, views, sample, self._rasteriser, cull, triangle, options, blocks, not self.skips
-            )
+            way = (self._rasteriser, cull, triangle, options, self._blocks, not self.skips)
+            light_map, beside = draw_light_map(old, self.geometry, views, sample, *way)
             if beside:
                 self.leave_out("blocks of casters in light views", "they lie beside the view", beside)
             return light_map
 
         out: LightMap = self.product("light depth map", key, inputs, build)
         return out
-
-    def _caster_blocks(self) -> TriangleBlocks | None:
-        geometry = self.geometry
-        if geometry.caster_triangles == 0:
-            return None
-        if self._blocks is None:
-            self._blocks = TriangleBlocks(geometry.points_ws, geometry.caster_indices, self.device, self.threads)
-        elif self._blocks_version != geometry.version:
-            self._blocks.update([(int(begin), int(end)) for begin, end in geometry.moving_triangles.numpy()])
-        self._blocks_version = geometry.version
-        return self._blocks
 
     def _map_bytes(self) -> int:
         maps = (p.value for key, p in self._products.items() if isinstance(key, tuple) and key[0] == "map")

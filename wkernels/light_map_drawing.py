@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-from wkernels.geometry import MOVES, Bounds, Geometry
+from wkernels.geometry import MOVES, Geometry
 from wkernels.lanes import LANES, Floats, Ints, runs_of, runs_per_row, uses_lanes
 from wkernels.launch import launch
 from wkernels.light_map import BY_DEPTH, BY_MARGIN, FIRST_INSIDE, LightMap
@@ -67,7 +67,7 @@ def draw_light_map(
     cull: int,
     triangle: wp.array | None,
     options: MapOptions = PLAIN_MAP,
-    blocks: TriangleBlocks | None = None,
+    blocks: CasterBlocks | None = None,
     everything: bool = False,
 ) -> tuple[LightMap, int]:
     """Draws a map; a new struct each time, so that the struct itself stands for its content.
@@ -81,7 +81,8 @@ def draw_light_map(
         cull: Faces that are left out, as seen from the light.
         triangle: int32 (R, pitch) scratch to tag moving casters with, or None to leave them untagged.
         options: How it is stored and drawn; drawn in any other way than in passes only with ``blocks``.
-        blocks, everything: As for ``Rasteriser.draw_many``.
+        blocks: Of the casters; what lies beside a layer's view is not drawn there.
+        everything: Whether all of it is drawn all the same.
 
     Returns:
         The map, and how many pairs of a block of casters and a layer were left out.
@@ -114,6 +115,9 @@ def draw_light_map(
         if owner is not None:
             _tag_moving(images[layer], geometry, owner, rasteriser)
 
+    needed = None
+    if blocks is not None and (options.drawing != "passes" or not (everything or hold_all(views, geometry))):
+        needed = blocks.pull()
     beside = rasteriser.draw_many(
         geometry.points_ws,
         geometry.caster_indices,
@@ -121,7 +125,7 @@ def draw_light_map(
         images,
         None if owner is None else [owner] * layers,
         cull,
-        blocks=blocks,
+        blocks=needed,
         drawing=options.drawing,
         everything=everything,
         drawn=tag,
@@ -152,9 +156,37 @@ def _choose_layers(out: LightMap, views: Sequence[HostView], device: str) -> Non
     out.split_far = wp.array([choice.far for choice in choices], dtype=float, device=device)
 
 
-def hold_all(views: Sequence[HostView], casters: Bounds) -> bool:
+class CasterBlocks:
+    """The blocks of a geometry's casters, made when they are first asked for and kept up to date.
+
+    Args:
+        geometry: What casts.
+        device: Warp device, the geometry's.
+        threads: CPU threads; None for all.
+    """
+
+    def __init__(self, geometry: Geometry, device: str, threads: int | None) -> None:
+        self._geometry, self._device, self._threads = geometry, device, threads
+        self._blocks: TriangleBlocks | None = None
+        self._version = 0
+
+    def pull(self) -> TriangleBlocks | None:
+        """The blocks at the geometry's present frame; None where nothing casts."""
+        geometry = self._geometry
+        if geometry.caster_triangles == 0:
+            return None
+        if self._blocks is None:
+            self._blocks = TriangleBlocks(geometry.points_ws, geometry.caster_indices, self._device, self._threads)
+        elif self._version != geometry.version:
+            self._blocks.update([(int(begin), int(end)) for begin, end in geometry.moving_triangles.numpy()])
+        self._version = geometry.version
+        return self._blocks
+
+
+def hold_all(views: Sequence[HostView], geometry: Geometry) -> bool:
     """Whether every view holds all boxes of the casters, so that none can lie beside it."""
-    points = np.append(casters.corners, np.ones((len(casters.corners), 1)), axis=1)
+    corners = geometry.bounds(casters=True).corners
+    points = np.append(corners, np.ones((len(corners), 1)), axis=1)
     for view in views:
         h = points @ view.ws_to_ss.T
         if not (np.abs(h[:, :2]) <= h[:, 3:]).all():
