@@ -95,6 +95,21 @@ def flag_splits(
     clipped_out[i, t] = flag
 
 
+@wp.func
+def in_view(triangles: ScreenTriangles, i: int, vertices: int, far: float):
+    """The mesh's triangles, without pieces of clipped ones, as the ``i``-th view has them."""
+    own = ScreenTriangles()
+    own.screen = triangles.screen
+    own.first_vertex = i * vertices
+    own.indices = triangles.indices
+    own.count = triangles.count
+    own.width = triangles.width
+    own.height = triangles.height
+    own.far = far
+    own.cull = triangles.cull
+    return own
+
+
 @wp.kernel
 def draw_stripe_cloned(
     first: int,
@@ -111,16 +126,7 @@ def draw_stripe_cloned(
     t = first + row
     for i in range(far.shape[0]):
         if needs(block_mask[t / LANES], view_0 + i):
-            own = ScreenTriangles()
-            own.screen = triangles.screen
-            own.first_vertex = i * vertices
-            own.indices = triangles.indices
-            own.count = triangles.count
-            own.width = triangles.width
-            own.height = triangles.height
-            own.far = far[i]
-            own.cull = triangles.cull
-            draw_rows(own, t, stripe, stripes, i * triangles.height, key_out)
+            draw_rows(in_view(triangles, i, vertices, far[i]), t, stripe, stripes, i * triangles.height, key_out)
 
 
 @wp.kernel
@@ -138,16 +144,7 @@ def draw_stripe_instanced(
     row, i, stripe = wp.tid()
     t = first + row
     if needs(block_mask[t / LANES], view_0 + i):
-        own = ScreenTriangles()
-        own.screen = triangles.screen
-        own.first_vertex = i * vertices
-        own.indices = triangles.indices
-        own.count = triangles.count
-        own.width = triangles.width
-        own.height = triangles.height
-        own.far = far[i]
-        own.cull = triangles.cull
-        draw_rows(own, t, stripe, stripes, i * triangles.height, key_out)
+        draw_rows(in_view(triangles, i, vertices, far[i]), t, stripe, stripes, i * triangles.height, key_out)
 
 
 def clip_flagged(
