@@ -16,6 +16,7 @@ from wkernels.focusing import LightSpace, depth_range, fitted_view, light_space,
 from wkernels.frame import LightViews
 from wkernels.geometry import Bounds
 from wkernels.light_views import scene_views
+from wkernels.map_storage import DRAWINGS, PLACES, MapOptions
 from wkernels.splits import SCHEMES, pseudo_planes, shares_of_split, split_borders
 from wkernels.views import HostView, LayerChoice
 
@@ -31,10 +32,10 @@ DEFAULTS: Mapping[str, Any] = {
     "pseudo_far": 0.0,
     "selection": "depth",
     "storage": "separate",
+    "drawing": "passes",
     "stabilise": "none",
 }
 MAX_SPLITS = 16
-_STORED = {"cube6": 6, "atlas4": 4, "atlas9": 9, "atlas16": 16}
 
 
 def compose(settings: Mapping[str, Any] | None = None) -> LightViews:
@@ -57,7 +58,8 @@ def compose(settings: Mapping[str, Any] | None = None) -> LightViews:
         "splits": list(range(1, MAX_SPLITS + 1)),
         "scheme": list(SCHEMES),
         "selection": ["depth", "best"],
-        "storage": ["separate", "array", *_STORED],
+        "storage": list(PLACES),
+        "drawing": list(DRAWINGS),
         "warp_centre": ["view_vector", "vertex"],
     }
     for key, values in choices.items():
@@ -68,7 +70,7 @@ def compose(settings: Mapping[str, Any] | None = None) -> LightViews:
     fit: Fit = tables["fit"][chosen["fit"]]()
     _check_together(chosen, fit)
     if not fit.follows_eye:
-        return fit.views
+        return SceneViews(fit, chosen)
     stabiliser = tables["stabilise"][chosen["stabilise"]]
     return Composition(fit, tables["warp"][chosen["warp"]](), stabiliser() if stabiliser else None, chosen)
 
@@ -98,13 +100,31 @@ def _check_together(chosen: Mapping[str, Any], fit: Fit) -> None:
             raise refuse(key, "needs the scheme 'pseudo'.")
     if chosen["pseudo_near"] + chosen["pseudo_far"] >= 1.0:
         raise refuse("pseudo_near", "pseudo_near and pseudo_far together must be less than 1.")
-    slots = _STORED.get(chosen["storage"])
-    if slots is not None and chosen["splits"] > 1:
+    slots = PLACES[chosen["storage"]]
+    if slots is not None and fit.follows_eye:  # how many views cover the whole scene is up to its light
         if chosen["splits"] > slots or (chosen["storage"] == "cube6" and chosen["splits"] != slots):
             raise refuse(
                 "storage", f"{chosen['storage']!r} has {slots} places, which {chosen['splits']} splits do not fit."
             )
-        raise refuse("storage", f"{chosen['storage']!r} is not available yet; available: separate, array.")
+
+
+class SceneViews:
+    """A fit that does not follow the eye; callable as ``wkernels.frame.LightViews``.
+
+    Args:
+        fit: The fit.
+        settings: All keys of ``DEFAULTS``, checked.
+    """
+
+    def __init__(self, fit: Fit, settings: Mapping[str, Any]) -> None:
+        self.fit = fit
+        self.map_options = MapOptions(settings["storage"], settings["drawing"])
+
+    def __call__(
+        self, light_ws: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int, eye: HostView
+    ) -> list[HostView]:
+        """The fit's views."""
+        return self.fit.views(light_ws, receivers, casters, resolution, eye)
 
 
 class Composition:
@@ -117,6 +137,7 @@ class Composition:
 
     def __init__(self, fit: Fit, warp: Warp, stabiliser: Stabiliser | None, settings: Mapping[str, Any]) -> None:
         self.fit, self.warp, self.stabiliser, self.settings = fit, warp, stabiliser, dict(settings)
+        self.map_options = MapOptions(settings["storage"], settings["drawing"])
 
     def __call__(
         self, light_ws: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int, eye: HostView

@@ -21,10 +21,11 @@ from wkernels.frame_result import G_BUFFER, SHADING, FrameResult, read_back
 from wkernels.geometry import Bounds, Geometry
 from wkernels.launch import launch, wake_workers
 from wkernels.light_map import LightMap
-from wkernels.light_map_drawing import draw_light_map, views_stamp
+from wkernels.light_map_drawing import CasterBlocks, draw_light_map, views_stamp
 from wkernels.light_samples import LightSamples
 from wkernels.light_views import scene_views
 from wkernels.lights import Light
+from wkernels.map_storage import PLAIN_MAP, MapOptions, lay_out
 from wkernels.raster import CULL_NONE, Rasteriser
 from wkernels.rays import LightHull
 from wkernels.sampling import light_set
@@ -35,7 +36,10 @@ from wkernels.views import HostView, View, eye_view
 MAP_BUDGET_BYTES = 512 * 2**20  # maps of many light samples are kept for later frames up to this much memory
 
 LightViews = Callable[[np.ndarray, Bounds, Bounds, int, HostView], list[HostView]]
-"""A projection: light sample (4,), receivers' box, casters' box, map resolution, eye view -> one view per layer."""
+"""A projection: light sample (4,), receivers' box, casters' box, map resolution, eye view -> one view per layer.
+
+It may have an attribute ``map_options``, a ``MapOptions``, which says how its maps are stored and drawn.
+"""
 
 
 class Renders(Protocol):
@@ -105,6 +109,7 @@ class Session:
         self.count = 0  # frames since the last reset: how often history has been committed
         self.standard_error: wp.array | None = None  # a technique may set it in render
         self._rasteriser = Rasteriser(device, threads)
+        self._blocks = CasterBlocks(geometry, device, threads)
         self._timer = PassTimer(device)
         self._products: dict[Hashable, _Product] = {}
         self._buffers: dict[Hashable, wp.array] = {}
@@ -343,14 +348,19 @@ class Session:
         if light_ws is None or self.light_views is None:
             self.light_views = (views, sample)
         key: Hashable = ("map", slot, resolution, cull, tag_moving_casters)
-        if key not in self._products and self._map_bytes + 4 * resolution**2 * len(views) > MAP_BUDGET_BYTES:
+        options: MapOptions = getattr(self.projection, "map_options", PLAIN_MAP)
+        layout = lay_out(options.storage, len(views), resolution)
+        if key not in self._products and self._map_bytes + 4 * layout.texels > MAP_BUDGET_BYTES:
             key = ("map", "shared", resolution, cull, tag_moving_casters)
         inputs = (self.geometry.version, views_stamp(views))
-        triangle = self.buffer("map triangles", (resolution, resolution), wp.int32) if tag_moving_casters else None
+        triangle = self.buffer("map triangles", (resolution, layout.pitch), wp.int32) if tag_moving_casters else None
 
         def build(old: LightMap | None) -> LightMap:
-            made = draw_light_map(old, self.geometry, views, sample, self._rasteriser, cull, triangle)
+            way = (self._rasteriser, cull, triangle, options, self._blocks, not self.skips)
+            made, beside = draw_light_map(old, self.geometry, views, sample, *way)
             self._map_bytes += 4 * (made.depth.size - (old.depth.size if old else 0))
+            if beside:
+                self.leave_out("blocks of casters in light views", "they lie beside the view", beside)
             return made
 
         out: LightMap = self.product("light depth map", key, inputs, build)

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import warp as wp
 
+from wkernels.comparison_lanes import first_texels
 from wkernels.filtering import NEAREST_BLOCKER, LightFootprint
 from wkernels.gbuffer import GBuffer
 from wkernels.geometry import RECEIVES
 from wkernels.lanes import LANES, Floats, Ints
+from wkernels.layer_lanes import to_layers
 from wkernels.light_map import LightMap
-from wkernels.receiver_lanes import LaneViews, locate_run, to_layers
+from wkernels.receiver_lanes import LaneViews, locate_run
 from wkernels.shadow_buffer import EDGE_ON
 from wkernels.shadow_buffer_update import FULL_WIDTH_ERROR, UpdateSettings, update_pixel
 from wkernels.views import View
@@ -237,7 +239,9 @@ def update_shadow_buffer_lanes(
     ys = receivers.y
 
     depth = views.depth
+    begin = first_texels(light_map, receivers)
     resolution = light_map.resolution
+    pitch = light_map.pitch
     tau = Floats(0.0)
     new_rise = Floats(0.0)
     moves = Ints(0)
@@ -248,7 +252,7 @@ def update_shadow_buffer_lanes(
         inside_x = wp.clamp(texel_x, 0, resolution - 1)
         inside_y = wp.clamp(texel_y, 0, resolution - 1)
         beyond = wp.where(inside_x != texel_x, 1, wp.where(inside_y != texel_y, 1, 0))
-        tagged = depth[(wp.max(layers[k], 0) * resolution + inside_y) * resolution + inside_x]
+        tagged = depth[begin[k] + inside_y * pitch + inside_x]
         stored = wp.where(beyond != 0, float(wp.inf), wp.abs(tagged))
         hidden = wp.where(layers[k] >= 0, wp.where(own[k] > stored, 1, 0), 0)
         rise = wp.clamp(1.0 - stored / wp.where(hidden != 0, plane[k], 1.0), 0.0, 1.0)

@@ -42,7 +42,7 @@ from wkernels.filtering_lanes import flat_half_axes, pcss_visibility_run, tap_ro
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer
 from wkernels.lanes import LANES, runs_per_row, uses_lanes
-from wkernels.light_map import BY_MARGIN, Bias, LightMap
+from wkernels.light_map import Bias, LightMap
 from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.receivers import receiver_of_pixel
 
@@ -168,7 +168,7 @@ class Pcss(Technique):
         with frame.timed("penumbra filter"):
             options = [int(params.rotate), int(params.bilinear), frame.seed]
             inputs = [params.device_bias, *taps, *options]
-            if uses_lanes(frame.device) and light_map.selection == BY_MARGIN:
+            if uses_lanes(frame.device):
                 maps = [lane_views(gbuffer, light_map), light_map, footprint, flat_half_axes(footprint)]
                 runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
                 frame.launch(filter_penumbra_lanes, runs, [*maps, *inputs], [visibility])

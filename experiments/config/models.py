@@ -43,6 +43,7 @@ class Projection(StrictModel):
         lambda_: Key ``lambda``: 0 = uniform, 1 = logarithmic spacing of the ``practical`` scheme.
         selection: Which split a receiver reads.
         storage: How the splits' maps are stored; never changes the picture.
+        drawing: Each split's map in a pass of its own, or all in one over the triangles; never changes the picture.
         stabilise: Remedy against swimming shadow edges.
     """
 
@@ -57,6 +58,7 @@ class Projection(StrictModel):
     pseudo_far: Fraction = 0.0
     selection: Literal["depth", "best"] = "depth"
     storage: Literal["separate", "array", "cube6", "atlas4", "atlas9", "atlas16"] = "separate"
+    drawing: Literal["passes", "cloned", "instanced"] = "passes"
     stabilise: Literal["none", "exact", "approximate"] = "none"
 
 
