@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
+from wkernels.depth_clamp import clamp_casters
 from wkernels.geometry import MOVES, Geometry
 from wkernels.lanes import LANES, Floats, Ints, runs_of, uses_lanes
 from wkernels.launch import launch
@@ -91,15 +92,18 @@ def draw_light_map(
     out.ws_to_ls = wp.array(matrices, dtype=wp.mat44, device=device)
     out.right_ws, out.up_ws = axes("right_ws"), axes("up_ws")
     out.layers, out.resolution = layers, resolution
-    out.light_ws, out.near = wp.vec4(*light_ws), views[0].near
+    out.light_ws, out.near = wp.vec4(*light_ws), max(views[0].near, _clamps(views)[0])
     _choose_layers(out, views, device)
     device_views = [view.to_device() for view in views]
     if triangle is None:
         rasteriser.draw_many(geometry.points_ws, geometry.caster_indices, device_views, out.depth, cull=cull)
-        return out
-    for layer, view in enumerate(device_views):
-        rasteriser.draw(geometry.points_ws, geometry.caster_indices, view, out.depth[layer], triangle, cull)
-        _tag_moving(out.depth, layer, geometry, triangle, rasteriser)
+    else:
+        for layer, view in enumerate(device_views):
+            rasteriser.draw(geometry.points_ws, geometry.caster_indices, view, out.depth[layer], triangle, cull)
+            _tag_moving(out.depth, layer, geometry, triangle, rasteriser)
+    for layer, near in enumerate(_clamps(views)):
+        if near > 0.0:
+            clamp_casters(out.depth[layer], near, rasteriser.threads)
     return out
 
 
@@ -132,4 +136,8 @@ def _choose_layers(out: LightMap, views: Sequence[HostView], device: str) -> Non
 def views_stamp(views: Sequence[HostView]) -> tuple[bytes, tuple]:
     """What a map's content depends on of its views, comparable."""
     choices = tuple(view.choice for view in views if isinstance(view, ProjectiveView))
-    return np.stack([view.ws_to_ss for view in views]).tobytes(), choices
+    return np.stack([view.ws_to_ss for view in views]).tobytes(), (choices, _clamps(views))
+
+
+def _clamps(views: Sequence[HostView]) -> tuple[float, ...]:
+    return tuple(view.clamped_before if isinstance(view, ProjectiveView) else 0.0 for view in views)
