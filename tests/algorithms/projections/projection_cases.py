@@ -109,6 +109,9 @@ FINER = {
     "pssm4": {"fit": "focused", "splits": 4},
     "pssm4 best": {"fit": "focused", "splits": 4, "selection": "best"},
     "log4 n_opt": {"fit": "focused", "splits": 4, "scheme": "log", "warp": "lispsm_nopt"},
+    "auto near n_opt": {"fit": "focused", "warp": "lispsm_nopt", "near": "auto"},
+    "faces n_opt": {"fit": "focused", "warp": "lispsm_nopt", "partition": "faces"},
+    "tight log4 n_opt": {"fit": "focused", "splits": 4, "scheme": "log", "warp": "lispsm_nopt", "depth": "tight"},
     "exact": {"fit": "focused", "splits": 4, "scheme": "log", "stabilise": "exact"},
     "approximate": {"fit": "focused", "splits": 4, "scheme": "log", "stabilise": "approximate"},
 }

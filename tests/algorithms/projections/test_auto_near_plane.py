@@ -56,7 +56,9 @@ def test_psm_gains_the_ratio_of_the_near_planes(device: str) -> None:
         depth[near] = frame.near_plane.used.near  # type: ignore[union-attr]
         assert (LEAST in dict(result.passes)) == (near == "auto")
     least = float(np.nanmin(frame.gbuffer().depth.numpy()))
-    assert depth == {"user": 0.5, "auto": least} and 30.0 < least < 35.0  # the ground is 20 units below, and 30 degrees down
+    assert (
+        depth == {"user": 0.5, "auto": least} and 30.0 < least < 35.0
+    )  # the ground is 20 units below, and 30 degrees down
     expected = (AHEAD.far - least) / least / ((AHEAD.far - 0.5) / 0.5)
     assert found["auto"] / found["user"] == pytest.approx(expected, rel=1e-4)
 
