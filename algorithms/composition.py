@@ -105,9 +105,7 @@ def _check_together(chosen: Mapping[str, Any], fit: Fit) -> None:
         raise refuse("near", why)
     if chosen["partition"] == "faces":
         if chosen["splits"] > 1:
-            why = (
-                "'faces' needs one split: it divides the view by its sides instead of by depth."
-            )
+            why = "'faces' needs one split: it divides the view by its sides instead of by depth."
             raise refuse("partition", why)
         if chosen["stabilise"] != "none":
             raise refuse("stabilise", "cannot stabilise the maps of faces, whose axes turn with the eye.")

@@ -1,4 +1,4 @@
-"""PCF whose kernel has one size in the world in all splits (Stingl 2011, section 3.6.1).
+"""PCF whose kernel has one size in the world in all splits (Reeves, Salesin and Cook 1987; Stingl 2011, section 3.6.1).
 
 A kernel of fixed size in texels is as wide in the world as the split's texels are, so that shadows change their
 softness abruptly where one split ends and the next begins (Fig 3.22). Equation 3.9 scales it by each split's focusing,
@@ -8,7 +8,8 @@ the split's extent in light space: r_l times texels per length, as long as nothi
 ``scale: layer`` is the equation: one size in texels for all of a split, measured in the middle of its map. Under a warp
 texels grow away from the eye, and the kernel with them: within a split it is too narrow before the middle and too wide
 behind it, by the ratio of the texels there, and it jumps again at the border. ``scale: receiver`` measures texels per
-length where the receiver lies, which is the same without a warp, and keeps its size with one and under point lights.
+length where the receiver lies, which is the same without a warp, and keeps its size with one and under point lights;
+it is the default.
 
 Deviations: l_sc, which shrinks the kernel to an atlas's tile, has no place here, as kernels are in texels of a layer
 whatever the storage; with the factor 2 the equation is in normalised coordinates, not in texture coordinates. Under a
@@ -126,7 +127,7 @@ class PcfSplitKernel(Technique):
             0.2, "r_l, width of the softened edge", unit="scene units", source="Stingl 2011, eq. 3.9", ge=0.0, le=1e6
         )
         scale: Literal["layer", "receiver"] = setting(
-            "layer",
+            "receiver",
             "where texels per length are measured: once for each split, or at each receiver",
             unit="name",
             source="Stingl 2011, eq. 3.9",

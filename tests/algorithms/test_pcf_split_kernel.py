@@ -128,7 +128,7 @@ def test_densities_are_finite_differences_of_the_views() -> None:
                 assert abs(np.diff(h[:, row] / h[:, 3])[0]) * 0.5 * R / 2e-4 == pytest.approx(value, rel=1e-5)
 
 
-@pytest.mark.parametrize("params", [{}, {"scale": "receiver", "taps": 16}, {"kernel": "box", "bilinear": False}])
+@pytest.mark.parametrize("params", [{}, {"scale": "layer", "taps": 16}, {"kernel": "box", "bilinear": False}])
 @pytest.mark.parametrize("lamp", [small.light("rectangle"), small.light("directional"), INSIDE])
 @pytest.mark.parametrize("width", [63, 130])
 def test_lanes_are_the_plain_kernel(
