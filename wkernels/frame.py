@@ -19,6 +19,7 @@ from wkernels import gbuffer as gb
 from wkernels.caster_tree import CasterTree, CasterTreeBuilder
 from wkernels.frame_result import G_BUFFER, SHADING, FrameResult, read_back
 from wkernels.geometry import Bounds, Geometry
+from wkernels.history import History
 from wkernels.launch import launch, wake_workers
 from wkernels.light_map import LightMap
 from wkernels.light_map_drawing import CasterBlocks, draw_light_map, views_stamp
@@ -26,19 +27,22 @@ from wkernels.light_samples import LightSamples
 from wkernels.light_views import scene_views
 from wkernels.lights import Light
 from wkernels.map_storage import PLAIN_MAP, MapOptions, lay_out
+from wkernels.near_plane import NearPlane
 from wkernels.raster import CULL_NONE, Rasteriser
 from wkernels.rays import LightHull
 from wkernels.sampling import light_set
 from wkernels.shading import shade
 from wkernels.timing import PassTimer
-from wkernels.views import HostView, View, eye_view
+from wkernels.views import HostView, eye_view
 
 MAP_BUDGET_BYTES = 512 * 2**20  # maps of many light samples are kept for later frames up to this much memory
 
 LightViews = Callable[[np.ndarray, Bounds, Bounds, int, HostView], list[HostView]]
 """A projection: light sample (4,), receivers' box, casters' box, map resolution, eye view -> one view per layer.
 
-It may have an attribute ``map_options``, a ``MapOptions``, which says how its maps are stored and drawn.
+It may have three attributes: ``near``, the ``NearPlane`` rule of the eye view that it gets ("user" without it);
+``left_out``, pairs (what, reason) of what its last call could not or need not do; and ``map_options``, a ``MapOptions``
+that says how its maps are stored and drawn.
 """
 
 
@@ -47,23 +51,6 @@ class Renders(Protocol):
 
     def render(self, frame: Session) -> wp.array:
         """Visibility, float32, of the frame's size or of an overscanned G-buffer's."""
-
-
-@dataclass
-class History:
-    """Two buffers that change places from frame to frame.
-
-    Attributes:
-        previous: What the last frame wrote; meaningless unless ``valid``.
-        current: For this frame to write, completely.
-        valid: Whether there was a last frame.
-        previous_view: The eye's view of that frame, at the buffer's size.
-    """
-
-    previous: Any
-    current: Any
-    valid: bool = False
-    previous_view: View | None = None
 
 
 @dataclass
@@ -108,6 +95,7 @@ class Session:
         self.index = 0  # frame index in the scene's path
         self.count = 0  # frames since the last reset: how often history has been committed
         self.standard_error: wp.array | None = None  # a technique may set it in render
+        self.near_plane = NearPlane(getattr(self.projection, "near", "user"))
         self._rasteriser = Rasteriser(device, threads)
         self._blocks = CasterBlocks(geometry, device, threads)
         self._timer = PassTimer(device)
@@ -147,6 +135,7 @@ class Session:
         wake_workers(self.device, self.threads)
         self._timer.start()
         visibility = technique.render(self)
+        self.near_plane.look_back(self)
         gbuffer = self._gbuffers.get(visibility.shape) or self.gbuffer()
         if visibility.shape != gbuffer.depth.shape or visibility.dtype != wp.float32:
             # kernels do not check bounds: shading would read past the end
@@ -165,6 +154,7 @@ class Session:
         for history in self._histories.values():
             history.previous, history.current = history.current, history.previous
             history.valid = True
+        self.near_plane.advance()
         self._previous_camera = self._camera
         self.count += 1
         self._visit += 1
@@ -175,6 +165,7 @@ class Session:
         self._map_bytes = 0
         for history in self._histories.values():
             history.valid = False
+        self.near_plane.reset()
         self._previous_camera = None
         self.count = 0
         self._visit += 1
@@ -193,9 +184,13 @@ class Session:
     def leave_out(self, what: str, reason: str, count: int = 1) -> bool:
         """Records that ``what`` is not needed here and returns True; False, unrecorded, with skips off."""
         if self.skips:
-            key = (what, reason)
-            self.left_out[key] = self.left_out.get(key, 0) + count
+            self.record(what, reason, count)
         return self.skips
+
+    def record(self, what: str, reason: str, count: int = 1) -> None:
+        """Notes that ``what`` was not done, whether skips are on or not: there was no other way to go."""
+        key = (what, reason)
+        self.left_out[key] = self.left_out.get(key, 0) + count
 
     def buffer(self, name: str, shape: tuple[int, ...], dtype: type) -> wp.array:
         """Scratch memory that lives as long as the session; its content is whatever was left there."""
@@ -255,6 +250,11 @@ class Session:
         out: gb.GBuffer = self.product(G_BUFFER, ("g-buffer", margin), inputs, build)
         self._gbuffers[out.depth.shape] = out
         return out
+
+    def widest_gbuffer(self) -> gb.GBuffer:
+        """The largest G-buffer that this frame has asked for so far, or else the frame's own."""
+        asked = list(self._gbuffers.values()) or [self.gbuffer()]
+        return max(asked, key=lambda gbuffer: gbuffer.depth.size)
 
     def light_samples(self, count: int, kind: str = "halton", start: int = 0) -> LightSamples:
         """``count`` points of the light from sample ``start`` on (rebased world)."""
@@ -344,7 +344,9 @@ class Session:
         if receivers.empty:  # no meshes at all: any view will do
             receivers = Bounds()
             receivers.add(np.zeros((1, 3)))
-        views = self.projection(sample, receivers, casters, resolution, self.eye())
+        views = self.projection(sample, receivers, casters, resolution, self.near_plane.eye(self, receivers))
+        for what, reason in getattr(self.projection, "left_out", ()):
+            self.record(what, reason)
         if light_ws is None or self.light_views is None:
             self.light_views = (views, sample)
         key: Hashable = ("map", slot, resolution, cull, tag_moving_casters)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
+from wkernels.depth_clamp import clamp_casters
 from wkernels.geometry import MOVES, Geometry
 from wkernels.lanes import LANES, Floats, Ints, runs_of, runs_per_row, uses_lanes
 from wkernels.launch import launch
@@ -105,15 +106,18 @@ def draw_light_map(
     out.ws_to_ls = wp.array(matrices, dtype=wp.mat44, device=device)
     out.right_ws, out.up_ws = axes("right_ws"), axes("up_ws")
     out.layers, out.resolution = layers, resolution
-    out.light_ws, out.near = wp.vec4(*light_ws), views[0].near
+    out.light_ws, out.near = wp.vec4(*light_ws), max(views[0].near, _clamps(views)[0])
     _choose_layers(out, views, device)
     device_views = [view.to_device() for view in views]
     images = layer_images(out.depth, layout)
     owner = None if triangle is None else triangle[:, :resolution]
+    clamps = _clamps(views)
 
-    def tag(layer: int) -> None:
+    def finish(layer: int) -> None:
         if owner is not None:
             _tag_moving(images[layer], geometry, owner, rasteriser)
+        if clamps[layer] > 0.0:
+            clamp_casters(images[layer], clamps[layer], rasteriser.threads)
 
     needed = None
     if blocks is not None and (options.drawing != "passes" or not (everything or hold_all(views, geometry))):
@@ -128,7 +132,7 @@ def draw_light_map(
         blocks=needed,
         drawing=options.drawing,
         everything=everything,
-        drawn=tag,
+        drawn=finish,
     )
     return out, beside
 
@@ -197,4 +201,8 @@ def hold_all(views: Sequence[HostView], geometry: Geometry) -> bool:
 def views_stamp(views: Sequence[HostView]) -> tuple[bytes, tuple]:
     """What a map's content depends on of its views, comparable."""
     choices = tuple(view.choice for view in views if isinstance(view, ProjectiveView))
-    return np.stack([view.ws_to_ss for view in views]).tobytes(), choices
+    return np.stack([view.ws_to_ss for view in views]).tobytes(), (choices, _clamps(views))
+
+
+def _clamps(views: Sequence[HostView]) -> tuple[float, ...]:
+    return tuple(view.clamped_before if isinstance(view, ProjectiveView) else 0.0 for view in views)

@@ -42,6 +42,14 @@ class Projection(StrictModel):
             between; their sum is less than 1.
         lambda_: Key ``lambda``: 0 = uniform, 1 = logarithmic spacing of the ``practical`` scheme.
         selection: Which split a receiver reads.
+        partition: Whether the view is divided by depth, into ``splits``, or by its side faces, up to four of them, each
+            with a map and a warp of its own.
+        near: The near plane that fit, splits and warp start from: the camera's (``user``), moved out to the nearest
+            thing in sight (``auto``), or to what the last frame saw, which clips what has come nearer since
+            (``auto_previous``).
+        adjust: Whether the splits' range follows what is seen of the scene; without it splits may be empty.
+        depth: ``scene``: casters keep their depth; ``tight``: those far before what is seen are clamped to a near plane
+            there. No shadow is lost, but soft shadows take those casters for nearer than they are.
         storage: How the splits' maps are stored; never changes the picture.
         drawing: Each split's map in a pass of its own, or all in one over the triangles; never changes the picture.
         stabilise: Remedy against swimming shadow edges.
@@ -57,6 +65,10 @@ class Projection(StrictModel):
     pseudo_near: Fraction = 0.0
     pseudo_far: Fraction = 0.0
     selection: Literal["depth", "best"] = "depth"
+    partition: Literal["depth", "faces"] = "depth"
+    near: Literal["user", "auto", "auto_previous"] = "user"
+    adjust: bool = True
+    depth: Literal["scene", "tight"] = "scene"
     storage: Literal["separate", "array", "cube6", "atlas4", "atlas9", "atlas16"] = "separate"
     drawing: Literal["passes", "cloned", "instanced"] = "passes"
     stabilise: Literal["none", "exact", "approximate"] = "none"
