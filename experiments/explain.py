@@ -9,12 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from algorithms.composition import compose
 from experiments.config.needs import unmet_need
 from experiments.metrics import METRICS
+from wkernels.geometry import Bounds
+from wkernels.views import eye_view
 
 if TYPE_CHECKING:
     from experiments.config.schema import Experiment
-    from wkernels.scene import Scene
+    from wkernels.scene import Mesh, Scene
+
+FRAMES_LOOKED_AT = 30  # of a walkthrough, evenly spaced, for what depends on where the eye is
 
 
 def explain(experiment: Experiment, plugins: Mapping[str, type] | None = None) -> str:
@@ -132,11 +137,42 @@ def _left_out_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, 
         for name in ("flip", "flicker")
         if name not in experiment.metrics and (experiment.reference or not _needs_reference(name))
     ]
+    lines += _fallback_lines(experiment, scene)
     used = {run.name for run in experiment.runs}
     for name, cls in plugins.items():
         if name not in used and (why := unmet_need(cls, scene, light)):
             lines.append(f"technique {name}, which could not run here: {why}")
     return lines or ["nothing that is known before rendering"]
+
+
+def _fallback_lines(experiment: Experiment, scene: Scene) -> list[str]:
+    """What the projections cannot do, or need not, on some of the frames: from boxes, with the camera's near plane."""
+    receivers, casters = Bounds(), Bounds()
+    for mesh in scene.meshes:
+        for bounds, takes_part in ((receivers, mesh.receives), (casters, mesh.casts)):
+            if takes_part:
+                bounds.add(_corners(mesh, experiment.frames[0]))
+    frames = experiment.frames[:: -(-len(experiment.frames) // FRAMES_LOOKED_AT)]
+    lines: list[str] = []
+    for run in experiment.runs:
+        views: Any = compose(run.projection) if run.projection and not receivers.empty else None
+        counts: dict[tuple[str, str], int] = {}
+        for frame in frames if hasattr(views, "near") else ():
+            eye = eye_view(scene.camera(frame), experiment.image.width, experiment.image.height, np.zeros(3))
+            views(scene.lights[experiment.light].centre, receivers, casters, 64, eye)
+            for told in set(views.left_out):
+                counts[told] = counts.get(told, 0) + 1
+        lines += [
+            f"{run.label}: {what} on {count} of {len(frames)} frame{_s(len(frames))} looked at: {why}"
+            for (what, why), count in counts.items()
+        ]
+    return lines
+
+
+def _corners(mesh: Mesh, frame: int) -> np.ndarray:
+    pose = mesh.object_to_ws(frame)
+    points = np.asarray(mesh.vertices, float) @ pose[:3, :3].T + pose[:3, 3]
+    return points[np.isfinite(points).all(axis=1)]
 
 
 def _needs_reference(name: str) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 import shutil
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -317,3 +318,16 @@ def test_explain_names_what_runs_and_what_does_not() -> None:
     assert "no caster moves" in text and "flicker: not among" in text
     without = explain(make_experiment([make_run("a")], every=None), PLUGINS)
     assert "there is no reference" in without and "reference on" not in without
+
+
+def test_explain_tells_what_projections_fall_back_to() -> None:
+    from fake_engine import PLUGINS
+
+    split = {"fit": "focused", "splits": 16, "scheme": "uniform"}
+    runs = [
+        replace(make_run("wide"), projection={**split, "adjust": False}),
+        replace(make_run("fitted"), projection=split),
+    ]
+    text = explain(make_experiment(runs), PLUGINS)
+    told = "light view of a split on 5 of 5 frames looked at: nothing of what the eye sees lies in it"
+    assert f"wide: {told}" in text and f"fitted: {told}" not in text
