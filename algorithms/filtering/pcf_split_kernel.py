@@ -32,7 +32,7 @@ from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer
 from wkernels.lanes import LANES, Floats, runs_per_row, uses_lanes
 from wkernels.layer_density import pull_layer_densities
-from wkernels.light_map import BY_MARGIN, Bias, LightMap, texels_per_length
+from wkernels.light_map import Bias, LightMap, texels_per_length
 from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.receivers import receiver_of_pixel
 
@@ -164,7 +164,7 @@ class PcfSplitKernel(Technique):
         shape = [0.5 * params.diameter, int(params.scale == "receiver"), int(params.bilinear)]
         with frame.timed("filter comparisons"):
             inputs = [light_map, params.device_bias, taps]
-            if uses_lanes(frame.device) and light_map.selection == BY_MARGIN:
+            if uses_lanes(frame.device):
                 runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
                 inputs = [lane_views(gbuffer, light_map), *inputs, _flat(densities), *shape]
                 frame.launch(filter_in_world_lanes, runs, inputs, [visibility])
