@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from algorithms.composition import DEFAULTS as PLAINEST
 from algorithms.composition import compose
 from experiments.config.needs import unmet_need
 from experiments.metrics import METRICS
@@ -66,7 +67,7 @@ def scene_lines(experiment: Experiment, scene: Scene) -> list[str]:
 
 
 def run_lines(experiment: Experiment, plugins: Mapping[str, type]) -> list[str]:
-    """A line per label: technique, parameters that are not at their defaults, and what it relies on."""
+    """A line per label: technique, parameters and projection that are not at their defaults, and what it relies on."""
     width = max(len(run.label) for run in experiment.runs)
     lines = []
     for run in experiment.runs:
@@ -74,6 +75,9 @@ def run_lines(experiment: Experiment, plugins: Mapping[str, type]) -> list[str]:
         defaults = cls.Params().model_dump()
         changed = ", ".join(f"{key}={value}" for key, value in run.params.items() if defaults.get(key) != value)
         notes = [f"{cls.family}/{run.name}", changed or "all parameters at their defaults"]
+        projection = [f"{k}={v}" for k, v in (run.projection or {}).items() if PLAINEST.get(k) != v]
+        if projection:
+            notes.append(f"projection {', '.join(projection)}")
         if cls.needs.history:
             notes.append("uses earlier frames")
         if run.label == experiment.baseline:
