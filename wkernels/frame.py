@@ -19,6 +19,7 @@ from wkernels import gbuffer as gb
 from wkernels.caster_tree import CasterTree, CasterTreeBuilder
 from wkernels.frame_result import G_BUFFER, SHADING, FrameResult, read_back
 from wkernels.geometry import Bounds, Geometry
+from wkernels.jitter import Jitter, jittered_view
 from wkernels.launch import launch, wake_workers
 from wkernels.light_map import LightMap
 from wkernels.light_map_drawing import draw_light_map, views_stamp
@@ -319,6 +320,7 @@ class Session:
         slot: Hashable = "centre",
         cull: int = CULL_NONE,
         tag_moving_casters: bool = False,
+        jitter: Jitter | None = None,
     ) -> LightMap:
         """The light's linear depth map, seen from one sample of the light.
 
@@ -328,6 +330,7 @@ class Session:
             slot: Maps that must live side by side need different slots.
             cull: Which faces are left out, as seen from the light.
             tag_moving_casters: Negative depth where the nearest caster moves.
+            jitter: Shift and turn of whatever views the projection gives; what changes it draws the map anew.
         """
         sample = self.light.centre if light_ws is None else light_ws
         receivers = self.geometry.bounds(receivers=True)
@@ -338,6 +341,8 @@ class Session:
             receivers = Bounds()
             receivers.add(np.zeros((1, 3)))
         views = self.projection(sample, receivers, casters, resolution, self.eye())
+        if jitter is not None:
+            views = [jittered_view(view, jitter) for view in views]
         if light_ws is None or self.light_views is None:
             self.light_views = (views, sample)
         key: Hashable = ("map", slot, resolution, cull, tag_moving_casters)

@@ -1,0 +1,87 @@
+"""How much one hard shadow test says of a point, and what it adds to what earlier frames said.
+
+Source: Scherzer, Jeschke and Wimmer 2007, as CATALOGUE tc_hard has it. A texel's depth is true at its centre; the test
+of a point at (dx, dy) texels from there has the confidence (1 - 2 max(|dx|, |dy|))^m. Over a map that is shifted in
+every frame the weighted mean of the tests of one point is the exact shadow, smoothed over the kernel of that formula:
+its mean distance from the point is 1 / (m + 3) texels along the longer axis.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from wkernels.light_map import Receiver
+
+LEAST_CONFIDENCE = wp.constant(1.0e-6)  # a single test must say something, even from a corner of its texel
+
+
+@wp.struct
+class Blending:
+    """How a test joins what a pixel remembers."""
+
+    power: int  # m
+    mean_confidence: float  # of ``mean_confidence(power)``
+    memory: float  # frames that are remembered
+    recursive: int  # 1: the confidence itself is the new test's share; 0: weighted mean of all that is remembered
+    blur: float  # variance that repeated reads may blur history by, pixels squared
+
+
+@wp.struct
+class Shares:
+    """What history and a new test count."""
+
+    kept: float  # sum of weights that is kept of history
+    weight: float  # of the new test
+    blur: float  # variance of the reads behind the sum, pixels squared
+
+
+def mean_confidence(power: int) -> float:
+    """Confidence of a point at a random place in its texel: the integral of (1 - d)^m over the square's d, 2 d dd."""
+    return 2.0 / ((power + 1.0) * (power + 2.0))
+
+
+@wp.func
+def test_confidence(receiver: Receiver, power: int) -> float:
+    """Confidence of the test of a receiver, 0 to 1; 1 where no texel was asked (back-lit, or outside the map)."""
+    result = float(1.0)
+    if receiver.layer >= 0:
+        dx = wp.abs(receiver.x - wp.floor(receiver.x) - 0.5)
+        dy = wp.abs(receiver.y - wp.floor(receiver.y) - 0.5)
+        nearness = 1.0 - 2.0 * wp.max(dx, dy)
+        for _ in range(power):
+            result = result * nearness
+        result = wp.max(result, LEAST_CONFIDENCE)
+    return result
+
+
+@wp.func
+def read_blur(share_x: float, share_y: float) -> float:
+    """Variance that one bilinear read adds, mean of both axes, pixels squared; the weights of the right and lower texels."""
+    return 0.5 * (share_x * (1.0 - share_x) + share_y * (1.0 - share_y))
+
+
+@wp.func
+def blend_shares(n: float, blur: float, confidence: float, blending: Blending) -> Shares:
+    """How a test of some confidence and a history of weight ``n`` are added.
+
+    Memory is bounded by frames, and so that ``blur``, history's with this frame's read, stays about
+    ``blending.blur``: with a share a of new tests in every frame it settles at (1 - a) (blur + read).
+
+    Args:
+        n: Sum of weights so far; 0: nothing is known.
+        blur: Variance of all reads behind history, this one included.
+        confidence: Of the new test.
+        blending: The settings.
+    """
+    result = Shares()
+    if blending.recursive != 0:
+        result.weight = wp.max(confidence, 1.0 / (blending.memory + 1.0))
+        result.kept = wp.where(n > 0.0, 1.0 - result.weight, 0.0)
+    else:
+        frames = blending.memory
+        if blur > blending.blur:
+            frames = wp.min(frames, blending.blur / (blur - blending.blur))
+        result.weight = confidence
+        result.kept = wp.min(n, frames * blending.mean_confidence)
+    result.blur = blur * result.kept / (result.kept + result.weight)
+    return result
