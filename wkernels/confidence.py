@@ -19,8 +19,8 @@ LEAST_CONFIDENCE = wp.constant(1.0e-6)  # a single test must say something, even
 class Blending:
     """How a test joins what a pixel remembers."""
 
-    power: int  # m
-    mean_confidence: float  # of ``mean_confidence(power)``
+    power: int  # m, or the greatest m
+    growth: float  # of m with the square root of the frames that are remembered
     memory: float  # frames that are remembered
     recursive: int  # 1: the confidence itself is the new test's share; 0: weighted mean of all that is remembered
     blur: float  # variance that repeated reads may blur history by, pixels squared
@@ -30,18 +30,32 @@ class Blending:
 class Shares:
     """What history and a new test count."""
 
-    kept: float  # sum of weights that is kept of history
-    weight: float  # of the new test
+    kept: float  # frames that are kept of history
+    weight: float  # of the new test, 1 on average
     blur: float  # variance of the reads behind the sum, pixels squared
 
 
-def mean_confidence(power: int) -> float:
+@wp.func
+def mean_confidence(power: float) -> float:
     """Confidence of a point at a random place in its texel: the integral of (1 - d)^m over the square's d, 2 d dd."""
     return 2.0 / ((power + 1.0) * (power + 2.0))
 
 
 @wp.func
-def test_confidence(receiver: Receiver, power: int) -> float:
+def chosen_power(n: float, blending: Blending) -> int:
+    """m for a point that remembers ``n`` frames.
+
+    A weighted mean of n tests is worth n E(c)^2 / E(c^2) of them, about 8 n / m^2. So m may grow with the square root
+    of n: the kernel narrows as far as there are tests to fill it.
+    """
+    result = blending.power
+    if blending.recursive == 0:
+        result = wp.clamp(int(blending.growth * wp.sqrt(n)) - 1, 0, blending.power)
+    return result
+
+
+@wp.func
+def confidence_of(receiver: Receiver, power: int) -> float:
     """Confidence of the test of a receiver, 0 to 1; 1 where no texel was asked (back-lit, or outside the map)."""
     result = float(1.0)
     if receiver.layer >= 0:
@@ -56,32 +70,45 @@ def test_confidence(receiver: Receiver, power: int) -> float:
 
 @wp.func
 def read_blur(share_x: float, share_y: float) -> float:
-    """Variance that one bilinear read adds, mean of both axes, pixels squared; the weights of the right and lower texels."""
+    """Variance that a bilinear read adds, mean of both axes, pixels squared, from weights of right and lower texels."""
     return 0.5 * (share_x * (1.0 - share_x) + share_y * (1.0 - share_y))
 
 
 @wp.func
-def blend_shares(n: float, blur: float, confidence: float, blending: Blending) -> Shares:
-    """How a test of some confidence and a history of weight ``n`` are added.
+def kept_frames(n: float, blur: float, blending: Blending) -> float:
+    """Frames that history counts for.
 
-    Memory is bounded by frames, and so that ``blur``, history's with this frame's read, stays about
+    Memory is bounded by ``blending.memory``, and so that ``blur``, history's with this frame's read, stays about
     ``blending.blur``: with a share a of new tests in every frame it settles at (1 - a) (blur + read).
 
     Args:
-        n: Sum of weights so far; 0: nothing is known.
+        n: Frames remembered so far; 0: nothing is known.
         blur: Variance of all reads behind history, this one included.
-        confidence: Of the new test.
+        blending: The settings.
+    """
+    result = wp.min(n, blending.memory)
+    if blur > blending.blur:
+        result = wp.min(result, blending.blur / (blur - blending.blur))
+    return result
+
+
+@wp.func
+def blend_shares(kept: float, blur: float, confidence: float, power: int, blending: Blending) -> Shares:
+    """How a test is added to the ``kept_frames`` of a history.
+
+    Args:
+        kept: Frames; 0: nothing is known.
+        blur: As for ``kept_frames``.
+        confidence: Of the new test, for this ``power``.
+        power: ``chosen_power(kept, blending)``.
         blending: The settings.
     """
     result = Shares()
     if blending.recursive != 0:
         result.weight = wp.max(confidence, 1.0 / (blending.memory + 1.0))
-        result.kept = wp.where(n > 0.0, 1.0 - result.weight, 0.0)
+        result.kept = wp.where(kept > 0.0, 1.0 - result.weight, 0.0)
     else:
-        frames = blending.memory
-        if blur > blending.blur:
-            frames = wp.min(frames, blending.blur / (blur - blending.blur))
-        result.weight = confidence
-        result.kept = wp.min(n, frames * blending.mean_confidence)
+        result.weight = confidence / mean_confidence(float(power))
+        result.kept = kept
     result.blur = blur * result.kept / (result.kept + result.weight)
     return result

@@ -60,7 +60,14 @@ def jittered_view(view: HostView, jitter: Jitter) -> ProjectiveView:
     rows[0] = (cosine * x - sine * y) / scale + 2.0 * jitter.dx / view.width * w
     rows[1] = (sine * x + cosine * y) / scale + 2.0 * jitter.dy / view.height * w
     kept = {item.name: getattr(view, item.name) for item in fields(HostView)}
-    # the axes turn with the map: map x grows along ``right_ws``
-    kept["right_ws"] = cosine * view.right_ws - sine * view.up_ws
-    kept["up_ws"] = sine * view.right_ws + cosine * view.up_ws
+    # the directions that change map x, and map y, alone; for warped views in the middle of the map only, as ever
+    right, up = view.right_ws, view.up_ws
+    per_right, per_up = float(x[:3] @ right), float(y[:3] @ up)
+    kept["right_ws"] = _unit(cosine * per_up * right - sine * per_right * up)
+    kept["up_ws"] = _unit(sine * per_up * right + cosine * per_right * up)
     return ProjectiveView(**kept, rows=rows, choice=getattr(view, "choice", None))
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    out: np.ndarray = v / np.linalg.norm(v)
+    return out

@@ -1,6 +1,30 @@
-"""Hard shadows from maps that jitter, remembered per pixel and weighted by confidence (Scherzer, Jeschke, Wimmer 2007).
+"""Hard shadows from maps that jitter, remembered per pixel, weighted by confidence (Scherzer, Jeschke, Wimmer 2007).
 
-DOC
+Every frame draws one map, shifted by a fraction of a texel (and turned, if wanted) behind any projection. The hard test
+s of each pixel is blended with what its point already knows, h = c s + (1 - c) h_prev, where the confidence
+c = (1 - 2 max(|dx|, |dy|))^m says how near to the centre of its texel the point lies: there alone the map is right. The
+last frame is read by reprojection; a texel of it counts if it saw the same surface, |1 - d / d_prev| < epsilon
+(Schwaerzler 2009, equation 5.18). A still image converges to the exact hard shadow, smoothed over 1 / (m + 3) texels,
+and the swimming of maps that follow the eye averages out: warped ones have no other remedy (Stingl 2011, sections 3.5
+and 8.2.1).
+
+Deviations; the original was not at hand, the formulas are those of the catalogue:
+- h = c s + (1 - c) h_prev never settles: a confident test overrides all that came before. By default h is the mean of
+  all tests weighted by c / E(c), E(c) = 2 / ((m + 1) (m + 2)), over at most ``memory`` frames; m grows with the root of
+  the frames that are known, so that a new point takes its first tests as they are and an old one those at texel
+  centres only. ``blend: published`` is the recursion with a constant m.
+- Four history texels are interpolated, each with its own depth test on the receiver's plane: the point's own depth
+  would reject slanted ground. Every read blurs; the variance of all reads behind a sum is kept beside it, and frames
+  are forgotten as ``blur`` demands.
+- Pixels shadowed by a moving caster show this frame's test and remember nothing: a shadow that leaves is gone in the
+  next frame. ``movers: keep`` blends them like all others: darker than the truth where a shadow was, lighter where it
+  is, half of it gone after ``memory`` frames and nine tenths after three times as many.
+- The first frame of the plain R2 set has no shift: it is ``shadow_map``.
+
+Known artefacts: noise where little is known (disocclusion, screen border, shadows of moving casters, which alias like
+shadow_map's); edges are smoothed over a fraction of a texel, and over ``blur`` pixels while the eye moves, where
+details smaller than that fade; a bias displaces shadows as in shadow_map; shadows lag on surfaces that rise by less
+than epsilon a frame, as points are followed by the camera's motion alone. Soft lights are reduced to their centre.
 """
 
 from __future__ import annotations
@@ -15,9 +39,10 @@ from wkernels.confidence import (
     LEAST_CONFIDENCE,
     Blending,
     blend_shares,
-    mean_confidence,
+    chosen_power,
+    confidence_of,
+    kept_frames,
     read_blur,
-    test_confidence,
 )
 from wkernels.estimators import hidden_share
 from wkernels.frame import Session as Frame
@@ -72,7 +97,6 @@ def add_confident_test(
     if (gbuffer.flags[y, x] & RECEIVES) != 0:
         position_ws = gbuffer.position_ws[y, x]
         test = shadow_test(gbuffer, y, x, light_map, settings.bias)
-        confidence = test_confidence(test.receiver, settings.blending.power)
         blur = float(0.0)
         if settings.has_history != 0 and test.moves == 0:
             epsilon = settings.depth_epsilon
@@ -80,7 +104,10 @@ def add_confident_test(
             normal_ws = gbuffer.normal_ws[y, x]
             record = fetch_record(previous, previous_view, position_ws, normal_ws, 0.0, epsilon, steps)
             blur = record.blocker_rise + blur_of_read(previous_view, position_ws, steps)
-        shares = blend_shares(record.n, blur, confidence, settings.blending)
+        kept = kept_frames(record.n, blur, settings.blending)
+        power = chosen_power(kept, settings.blending)
+        confidence = confidence_of(test.receiver, power)
+        shares = blend_shares(kept, blur, confidence, power, settings.blending)
         record.rho = hidden_share(record.rho, record.n) * shares.kept + shares.weight * test.tau
         record.n = shares.kept + shares.weight
         record.blocker_rise = shares.blur
@@ -140,11 +167,6 @@ def add_confident_test_lanes(
         wanted[k] = wp.where(moves[k] != 0, 0, receives[k])
         off_centre = wp.max(wp.abs(xs[k] - left - 0.5), wp.abs(ys[k] - upper - 0.5))
         nearness[k] = wp.where(layers[k] >= 0, 1.0 - 2.0 * off_centre, 1.0)
-    confidence = Floats(1.0)
-    for _ in range(settings.blending.power):
-        for k in range(LANES):
-            confidence[k] = confidence[k] * nearness[k]
-
     history = HistoryRun()
     places = PlaceRun()
     if settings.has_history != 0:
@@ -157,27 +179,42 @@ def add_confident_test_lanes(
     share_y = places.share_y
 
     memory = settings.blending.memory
-    mean = settings.blending.mean_confidence
     recursive = settings.blending.recursive
     most = settings.blending.blur
+    growth = settings.blending.growth
+    greatest = settings.blending.power
+    kept = Floats(0.0)
+    blurs = Floats(0.0)
+    powers = Ints(0)
+    for k in range(LANES):
+        # ``kept_frames`` and ``chosen_power``
+        blur = held_blur[k] + 0.5 * (share_x[k] * (1.0 - share_x[k]) + share_y[k] * (1.0 - share_y[k]))
+        above = wp.where(blur > most, blur - most, 0.0)
+        by_memory = wp.min(held_n[k], memory)
+        kept[k] = wp.where(above > 0.0, wp.min(by_memory, most / wp.where(above > 0.0, above, 1.0)), by_memory)
+        grown = wp.clamp(int(growth * wp.sqrt(kept[k])) - 1, 0, greatest)
+        powers[k] = wp.where(recursive != 0, greatest, grown)
+        blurs[k] = blur
+    confidence = Floats(1.0)
+    for i in range(greatest):
+        for k in range(LANES):
+            confidence[k] = wp.where(i < powers[k], confidence[k] * nearness[k], confidence[k])
+
     rho = Floats(0.0)
     n = Floats(0.0)
-    blurs = Floats(0.0)
     psi = Floats(0.0)
     for k in range(LANES):
         # ``blend_shares``
         sure = wp.max(confidence[k], LEAST_CONFIDENCE)
-        known = wp.where(held_n[k] > 0.0, 1, 0)
-        blur = held_blur[k] + 0.5 * (share_x[k] * (1.0 - share_x[k]) + share_y[k] * (1.0 - share_y[k]))
-        above = blur - most
-        by_blur = most / wp.where(above > 0.0, above, 1.0)
-        frames = wp.where(above > 0.0, wp.min(memory, by_blur), memory)
-        weight = wp.where(recursive != 0, wp.max(sure, 1.0 / (memory + 1.0)), sure)
-        kept = wp.where(recursive != 0, wp.where(known != 0, 1.0 - weight, 0.0), wp.min(held_n[k], frames * mean))
+        known = wp.where(kept[k] > 0.0, 1, 0)
         share = wp.where(known != 0, held_rho[k] / wp.where(known != 0, held_n[k], 1.0), 0.0)
-        n[k] = kept + weight
-        blurs[k] = blur * kept / n[k]
-        rho[k] = wp.clamp(share, 0.0, 1.0) * kept + weight * tau[k]
+        m = float(powers[k])
+        least = wp.max(sure, 1.0 / (memory + 1.0))
+        weight = wp.where(recursive != 0, least, sure / (2.0 / ((m + 1.0) * (m + 2.0))))
+        old = wp.where(recursive != 0, wp.where(known != 0, 1.0 - weight, 0.0), kept[k])
+        n[k] = old + weight
+        blurs[k] = blurs[k] * old / n[k]
+        rho[k] = wp.clamp(share, 0.0, 1.0) * old + weight * tau[k]
         psi[k] = wp.where(receives[k] != 0, wp.clamp(rho[k] / n[k], 0.0, 1.0), 0.0)
 
     far = gbuffer.view.far
@@ -226,12 +263,19 @@ class TcHard(Technique):
             "r2", "point set of the jitter; r2 starts without any", unit="name"
         )
         power: int = setting(
-            3,
-            "m: exponent of the confidence; higher is sharper and slower",
+            15,
+            "m: exponent of the confidence, constant where published, else its greatest",
             unit="1",
             source="CATALOGUE tc_hard, 3 to 15",
             ge=0,
             le=64,
+        )
+        growth: float = setting(
+            1.5,
+            "m + 1 per square root of the frames that a point remembers",
+            unit="frames^-1/2",
+            ge=0.0,
+            le=1000.0,
         )
         blend: Literal["mean", "published"] = setting(
             "mean",
@@ -311,7 +355,7 @@ class TcHard(Technique):
         out.bias, out.has_history, out.depth_epsilon = p.device_bias, int(has_history), p.depth_epsilon
         out.texel_steps = BILINEAR if p.history == "bilinear" else NEAREST
         blending = Blending()
-        blending.power, blending.mean_confidence = p.power, mean_confidence(p.power)
+        blending.power, blending.growth = p.power, p.growth
         blending.memory, blending.blur = p.memory, p.blur**2
         blending.recursive = int(p.blend == "published")
         out.blending = blending
