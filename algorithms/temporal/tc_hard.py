@@ -263,7 +263,7 @@ class TcHard(Technique):
             "r2", "point set of the jitter; r2 starts without any", unit="name"
         )
         power: int = setting(
-            15,
+            9,
             "m: exponent of the confidence, constant where published, else its greatest",
             unit="1",
             source="CATALOGUE tc_hard, 3 to 15",

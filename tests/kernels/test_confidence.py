@@ -104,7 +104,7 @@ JITTER = np.array([frame_jitter("r2", i, 1.0, 0.0)[:2] for i in range(4096)])
 
 def blending_of(**values: float) -> Blending:
     out = Blending()
-    for name, value in {"power": 15, "growth": 1.5, "memory": 256.0, "recursive": 0, "blur": 1.0, **values}.items():
+    for name, value in {"power": 9, "growth": 1.5, "memory": 256.0, "recursive": 0, "blur": 1.0, **values}.items():
         setattr(out, name, value)
     return out
 
@@ -175,7 +175,7 @@ def test_100_000_frames_do_not_drift(device: str) -> None:
     np.testing.assert_allclose(late.mean(axis=0), early.mean(axis=0), atol=4e-3)
     np.testing.assert_allclose(late, early, atol=1e-4)  # the jitter repeats after 4096 frames, and so does everything
     assert (late[:, 0] >= 1.0 - 1e-6).all() and (late[:, -1] == 0.0).all()
-    assert np.isfinite(state).all() and state[:, 1].max() <= 256.0 + 0.5 * 16.0 * 17.0
+    assert np.isfinite(state).all() and state[:, 1].max() <= 256.0 + 0.5 * 10.0 * 11.0
 
 
 def test_published_blending_never_settles(device: str) -> None:
@@ -204,7 +204,7 @@ def test_memory_is_forgotten(device: str) -> None:
         arrays = [wp.array(a.astype(np.float32), dtype=wp.vec2, device=device) for a in (points, JITTER)]
         launch(accumulate, 50, [*arrays, -100.0, 48, 0.0, blending_of(**values)], [state, psi], device=device)
         left = psi.numpy()
-        assert (np.diff(left, axis=0) <= 0.0).all() and left[0].min() > 0.0
+        assert (np.diff(left, axis=0) <= 0.0).all() and left[0].mean() > 0.8
         assert left[15].mean() < 0.5 and left[47].max() < 0.15 and left[47].mean() < 0.1, (
             left[15].mean(),
             left[47].max(),
