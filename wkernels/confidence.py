@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.light_map import Receiver
+from wkernels.light_map import BIAS_SLOPE, Bias, Receiver
 
 LEAST_CONFIDENCE = wp.constant(1.0e-6)  # a single test must say something, even from a corner of its texel
 
@@ -65,6 +65,24 @@ def confidence_of(receiver: Receiver, power: int) -> float:
         for _ in range(power):
             result = result * nearness
         result = wp.max(result, LEAST_CONFIDENCE)
+    return result
+
+
+@wp.func
+def spare_bias(receiver: Receiver, bias: Bias) -> float:
+    """The part of a receiver's slope bias that its own place does not need, scene units.
+
+    ``locate_receiver`` allows for half a texel of the receiver's plane either way; from the centre of its texel the
+    plane rises by |dx dz/dx| + |dy dz/dy| only. 0 for other biases.
+    """
+    result = float(0.0)
+    if receiver.layer >= 0 and bias.kind == BIAS_SLOPE:
+        dx = wp.abs(receiver.x - wp.floor(receiver.x) - 0.5)
+        dy = wp.abs(receiver.y - wp.floor(receiver.y) - 0.5)
+        depth = receiver.plane_depth
+        slope_x = wp.abs(depth[0] - depth[2] * receiver.plane_scale[0])
+        slope_y = wp.abs(depth[1] - depth[2] * receiver.plane_scale[1])
+        result = bias.slope * (slope_x * (0.5 - dx) + slope_y * (0.5 - dy))
     return result
 
 

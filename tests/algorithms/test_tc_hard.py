@@ -120,6 +120,20 @@ def test_error_keeps_falling_to_its_plateau(device: str) -> None:
     assert error[4] < 0.8 * np.mean([rmse(f.visibility, expected) for f in published[48:]])
 
 
+def test_a_bias_that_knows_its_place_moves_shadows_less(device: str) -> None:
+    """On smooth casters that shadow themselves and each other: nearer to the truth."""
+    scene = load_scene("configs/scenes/overlap.yaml")
+    expected = truth(scene, device)
+    error = {}
+    for scaled in (True, False):
+        session, made = open_session(scene, device), technique(overscan=0.0, scale_bias=scaled)
+        for _ in range(32):  # of a still scene
+            visibility = session.render(made).visibility
+            session.advance()
+        error[scaled] = rmse(visibility, expected)
+    assert error[True] < 0.9 * error[False], error
+
+
 def test_without_jitter_nothing_converges(device: str) -> None:
     scene = small.cluttered(SUN)
     frames = walk(open_session(scene, device), technique(jitter=0.0, overscan=0.0), 12)
@@ -304,7 +318,9 @@ def remembered_shadow(scene: Scene, device: str) -> np.ndarray:
 # ---- lanes, input -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("params", [{}, {"blend": "published", "power": 4}, {"history": "nearest", "bias": "normal"}])
+@pytest.mark.parametrize(
+    "params", [{"scale_bias": True}, {"blend": "published", "power": 4}, {"history": "nearest", "bias": "normal"}]
+)
 @pytest.mark.parametrize("scene", ["overlap", "moving_blocker"])
 def test_lanes_remember_what_the_plain_kernel_does(
     scene: str, params: dict[str, Any], device: str, monkeypatch: pytest.MonkeyPatch

@@ -15,10 +15,11 @@ from wkernels.confidence import (
     kept_frames,
     mean_confidence,
     read_blur,
+    spare_bias,
 )
 from wkernels.jitter import frame_jitter
 from wkernels.launch import launch
-from wkernels.light_map import Receiver
+from wkernels.light_map import BIAS_SLOPE, Bias, Receiver
 
 
 @wp.kernel
@@ -39,6 +40,17 @@ def constants(first: int, out: wp.array(dtype=float)):
     out[1] = read_blur(0.0, 0.0)
     out[2] = read_blur(0.5, 0.5)
     out[3] = mean_confidence(3.0)
+    slanted = Receiver()
+    slanted.x = 3.6
+    slanted.y = 4.2
+    slanted.plane_depth = wp.vec3(0.2, -0.1, 5.0)
+    slanted.plane_scale = wp.vec3(0.02, 0.0, 1.0)
+    bias = Bias()
+    bias.slope = 2.0
+    out[4] = spare_bias(slanted, bias)
+    bias.kind = BIAS_SLOPE
+    out[5] = spare_bias(slanted, bias)
+    out[6] = spare_bias(nowhere, bias)
 
 
 @pytest.mark.parametrize("power", [0, 3, 15])
@@ -56,9 +68,10 @@ def test_confidence_of_places_in_a_texel(power: int, device: str) -> None:
 
 
 def test_where_no_texel_is_asked_the_test_is_sure(device: str) -> None:
-    out = wp.empty(4, dtype=float, device=device)
+    out = wp.empty(7, dtype=float, device=device)
     launch(constants, 1, [], [out], device=device)
-    assert_twin(out.numpy(), np.array([1.0, 0.0, 0.25, 0.1]))
+    # the plane's slopes are 0.2 - 5 * 0.02 and -0.1, the point lies 0.1 and 0.3 texels from the centre
+    assert_twin(out.numpy(), np.array([1.0, 0.0, 0.25, 0.1, 0.0, 2.0 * (0.1 * 0.4 + 0.1 * 0.2), 0.0]), atol=1e-6)
 
 
 # ---- the recursion --------------------------------------------------------------------------------------------------------
