@@ -20,6 +20,7 @@ from wkernels.caster_tree import CasterTree, CasterTreeBuilder
 from wkernels.frame_result import G_BUFFER, SHADING, FrameResult, read_back
 from wkernels.geometry import Bounds, Geometry
 from wkernels.history import History
+from wkernels.jitter import Jitter, jittered_view
 from wkernels.launch import launch, wake_workers
 from wkernels.light_map import LightMap
 from wkernels.light_map_drawing import CasterBlocks, draw_light_map, views_stamp
@@ -326,6 +327,7 @@ class Session:
         slot: Hashable = "centre",
         cull: int = CULL_NONE,
         tag_moving_casters: bool = False,
+        jitter: Jitter | None = None,
     ) -> LightMap:
         """The light's linear depth map, seen from one sample of the light.
 
@@ -335,6 +337,7 @@ class Session:
             slot: Maps that must live side by side need different slots.
             cull: Which faces are left out, as seen from the light.
             tag_moving_casters: Negative depth where the nearest caster moves.
+            jitter: Shift and turn of whatever views the projection gives; what changes it draws the map anew.
         """
         sample = self.light.centre if light_ws is None else light_ws
         receivers = self.geometry.bounds(receivers=True)
@@ -347,6 +350,8 @@ class Session:
         views = self.projection(sample, receivers, casters, resolution, self.near_plane.eye(self, receivers))
         for what, reason in getattr(self.projection, "left_out", ()):
             self.record(what, reason)
+        if jitter is not None:
+            views = [jittered_view(view, jitter) for view in views]
         if light_ws is None or self.light_views is None:
             self.light_views = (views, sample)
         key: Hashable = ("map", slot, resolution, cull, tag_moving_casters)
