@@ -112,6 +112,7 @@ class Session:
         self._previous_camera: Any = None
         self.left_out: dict[tuple[str, str], int] = {}
         self.light_views: tuple[list[HostView], np.ndarray] | None = None
+        self.read_map: LightMap | None = None  # the map with these views
         self._gbuffers: dict[tuple[int, int], gb.GBuffer] = {}
         self._visit = 0
         self._camera: Any = None
@@ -135,7 +136,7 @@ class Session:
     def render(self, technique: Renders) -> FrameResult:
         """Runs one technique on the current frame and reads its results back (reading back is not timed)."""
         self.left_out.clear()
-        self.light_views = None
+        self.light_views = self.read_map = None
         self._gbuffers.clear()
         self.standard_error = None
         wake_workers(self.device, self.threads)
@@ -338,7 +339,8 @@ class Session:
             receivers = Bounds()
             receivers.add(np.zeros((1, 3)))
         views = self.projection(sample, receivers, casters, resolution, self.eye())
-        if light_ws is None or self.light_views is None:
+        shown = light_ws is None or self.light_views is None
+        if shown:
             self.light_views = (views, sample)
         key: Hashable = ("map", slot, resolution, cull, tag_moving_casters)
         if key not in self._products and self._map_bytes() + 4 * resolution**2 * len(views) > MAP_BUDGET_BYTES:
@@ -350,6 +352,8 @@ class Session:
             return draw_light_map(old, self.geometry, views, sample, self._rasteriser, cull, triangle)
 
         out: LightMap = self.product("light depth map", key, inputs, build)
+        if shown:
+            self.read_map = out
         return out
 
     def _map_bytes(self) -> int:
