@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from experiments.metrics import HARD_EDGE
+
 # Largest miss, as a share of the distance to the furthest of the four pixels. Across a depth edge, pixels of the wrong
 # side then have at most this weight.
 _MATCH = 0.1
@@ -19,7 +21,8 @@ def carry_over(
 
     Interpolates between the four previous pixels around a point, and only where the positions they saw interpolate to
     the point itself. That leaves out disocclusions, silhouettes and meshes that moved, so that what remains is change
-    of shadow.
+    of shadow. A hard edge between the four is left out too: on which side of it the point was is not known, and a guess
+    would count as flicker in a picture of rays, which has none.
 
     Args:
         previous_visibility: (H, W), NaN where no receiver was seen.
@@ -56,5 +59,6 @@ def carry_over(
     miss = np.linalg.norm((weights[:, :, None] * near).sum(axis=0) - points, axis=1)
     reach = np.linalg.norm(near - points, axis=2).max(axis=0)
     seen = np.stack([previous_visibility[r, c].astype(np.float64) for r, c in corners])
-    out[inside] = np.where(miss <= _MATCH * reach, (weights * seen).sum(axis=0), np.nan)
+    known = (miss <= _MATCH * reach) & (np.ptp(seen, axis=0) <= HARD_EDGE)
+    out[inside] = np.where(known, (weights * seen).sum(axis=0), np.nan)
     return out.reshape(height, width)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments.config.needs import unmet_need
-from experiments.metrics import METRICS
+from experiments.metrics import MAP_METRICS, METRICS
 
 if TYPE_CHECKING:
     from experiments.config.schema import Experiment
@@ -91,7 +91,7 @@ def _work_lines(experiment: Experiment, plugins: Mapping[str, type]) -> list[str
         rays = len(chosen) * pixels * experiment.reference.samples
         lines.append(
             f"reference on {len(chosen)} frame{_s(len(chosen))}: {_ranges(chosen)}; "
-            f"{experiment.reference.samples} light samples, at most {rays:,} rays; "
+            f"{_samples_of(experiment)}, at most {rays:,} rays; "
             "frames in the cache are not traced again"
         )
     asked = set(experiment.metrics) | {metric.name for metric in METRICS.values() if metric.always}
@@ -130,6 +130,8 @@ def _left_out_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, 
         for name in ("flip", "flicker")
         if name not in experiment.metrics and (experiment.reference or not _needs_reference(name))
     ]
+    if set(MAP_METRICS).isdisjoint(experiment.metrics):
+        lines.append("sampling rates per pixel and wasted map area: not among the experiment's metrics (sampling)")
     used = {run.name for run in experiment.runs}
     for name, cls in plugins.items():
         if name not in used and (why := unmet_need(cls, scene, light)):
@@ -137,8 +139,15 @@ def _left_out_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, 
     return lines or ["nothing that is known before rendering"]
 
 
+def _samples_of(experiment: Experiment) -> str:
+    assert experiment.reference is not None
+    if experiment.reference.light == "centre":
+        return "the light's centre alone"
+    return f"{experiment.reference.samples} light samples"
+
+
 def _needs_reference(name: str) -> bool:
-    return name not in ("standard_error", "flicker")
+    return name not in ("standard_error", "flicker", *MAP_METRICS)
 
 
 def _camera_rests(experiment: Experiment, scene: Scene) -> bool:

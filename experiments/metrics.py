@@ -9,10 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+if TYPE_CHECKING:
+    from wkernels.sampling_rate import MapUse
+
 FLIP_PIXELS_PER_DEGREE = 67.02  # a 0.7 m wide 4K screen seen from 0.7 m, the value of the FLIP paper
+HARD_EDGE = 0.5  # a larger difference of visibility between neighbouring pixels is an edge, not a slope
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +31,8 @@ class Measured:
         reference_standard_error: (H, W), goes with ``reference``.
         previous: Visibility of the frame before, carried to this frame's receiver points (``carry_over``), (H, W), NaN
             where these were not seen; None on a first frame or where nothing asked for it.
+        map_use: How the light map that the technique read suits the frame; None for techniques that read none, or where
+            nothing asked for it.
     """
 
     visibility: np.ndarray
@@ -33,6 +40,7 @@ class Measured:
     reference: np.ndarray | None = None
     reference_standard_error: np.ndarray | None = None
     previous: np.ndarray | None = None
+    map_use: MapUse | None = None
 
 
 @dataclass(frozen=True)
@@ -100,7 +108,34 @@ def _reference_standard_error(m: Measured) -> float | None:
 
 
 def _flicker(m: Measured) -> float | None:
-    return None if m.previous is None else _rms_of_finite(m.visibility - m.previous, m.visibility)
+    if m.previous is None:
+        return None
+    return _rms_of_finite(m.visibility - m.previous, np.where(beside_hard_edge(m.visibility), np.nan, m.visibility))
+
+
+def beside_hard_edge(visibility: np.ndarray) -> np.ndarray:
+    """Whether one of a pixel's four neighbours differs by more than ``HARD_EDGE``; bool (H, W)."""
+    out = np.zeros(visibility.shape, dtype=bool)
+    across, down = np.abs(np.diff(visibility, axis=1)), np.abs(np.diff(visibility, axis=0))
+    with np.errstate(invalid="ignore"):
+        across, down = across > HARD_EDGE, down > HARD_EDGE
+    out[:, 1:] |= across
+    out[:, :-1] |= across
+    out[1:] |= down
+    out[:-1] |= down
+    return out
+
+
+def _over_lookups(reduce: Callable[[np.ndarray], float]) -> Callable[[Measured], float | None]:
+    """Of the largest error m at the receiver pixels that look into the map."""
+
+    def evaluate(m: Measured) -> float | None:
+        if m.map_use is None:
+            return None
+        error = m.map_use.rate.m[m.map_use.rate.is_read & np.isfinite(m.visibility)]
+        return float(reduce(error.astype(np.float64))) if len(error) else None
+
+    return evaluate
 
 
 def flip_map(visibility: np.ndarray, reference: np.ndarray) -> np.ndarray:
@@ -217,17 +252,83 @@ METRICS: Mapping[str, Metric] = {
         Metric(
             "flicker",
             "flicker",
-            "Root mean square change of visibility since the frame before, at surface points seen in both.",
+            "Root mean square change of visibility since the frame before, at surface points seen in both and beside a "
+            "hard edge in neither, where what a pixel shows depends on where its centre lies.",
             "visibility",
             best=0.0,
             worst=1.0,
             always=False,
             from_images=False,
-            version=1,
+            version=2,  # 1 counted pixels beside hard edges, which flicker under every technique
             evaluate=_flicker,
+        ),
+        Metric(
+            "m_pixel_median",
+            "m, median",
+            "Median over receiver pixels of the largest err_accurate, texel over pixel; above 1 the map is too coarse.",
+            "texels in pixels",
+            best=0.0,
+            worst=float("inf"),
+            always=False,
+            from_images=False,
+            version=1,
+            evaluate=_over_lookups(np.median),
+        ),
+        Metric(
+            "m_pixel_p99",
+            "m, p99",
+            "99th percentile over receiver pixels of the largest err_accurate.",
+            "texels in pixels",
+            best=0.0,
+            worst=float("inf"),
+            always=False,
+            from_images=False,
+            version=1,
+            evaluate=_over_lookups(lambda error: float(np.percentile(error, 99.0))),
+        ),
+        Metric(
+            "undersampled",
+            "undersampled",
+            "Share of the receiver pixels that look into the map whose err_accurate is above 1 in some direction.",
+            "share",
+            best=0.0,
+            worst=1.0,
+            always=False,
+            from_images=False,
+            version=1,
+            evaluate=_over_lookups(lambda error: float(np.mean(error > 1.0))),
+        ),
+        Metric(
+            "map_waste",
+            "map wasted",
+            "Share of the map's area outside of what the eye can see of the receivers' box; mean over layers.",
+            "share",
+            best=0.0,
+            worst=1.0,
+            always=False,
+            from_images=False,
+            version=1,
+            evaluate=lambda m: None if m.map_use is None else m.map_use.waste,
+        ),
+        Metric(
+            "map_unread",
+            "map unread",
+            "Share of the map's texels that no receiver pixel falls into; it depends on the number of pixels.",
+            "share",
+            best=0.0,
+            worst=1.0,
+            always=False,
+            from_images=False,
+            version=1,
+            evaluate=lambda m: None if m.map_use is None else m.map_use.unread,
         ),
     )
 }
+
+MAP_METRICS = ("m_pixel_median", "m_pixel_p99", "undersampled", "map_waste", "map_unread")
+"""How the light map suits the picture: 20 to 40 ms for a label's frame of 640 x 360, outside all timings."""
+GROUPS: Mapping[str, tuple[str, ...]] = {"sampling": MAP_METRICS}
+"""Names under ``metrics`` in an experiment file that stand for several."""
 
 
 def evaluate(names: frozenset[str], measured: Measured) -> dict[str, float | None]:

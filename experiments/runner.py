@@ -133,6 +133,7 @@ class _Walkthrough:
         self.total = len(experiment.runs) * len(experiment.frames)
         self.done = len(stored)
         self.wants_flicker = "flicker" in experiment.metrics
+        self.wants_map_use = not set(metrics.MAP_METRICS).isdisjoint(experiment.metrics)
         reference = experiment.reference
         self.reference_frames = set(experiment.frames[:: reference.every]) if reference else set()
 
@@ -233,6 +234,7 @@ class _Walkthrough:
             reference=reference[0] if reference else None,
             reference_standard_error=reference[1] if reference else None,
             previous=self._previous(lane, result),
+            map_use=self.engine.map_use(lane.session) if self.wants_map_use else None,
         )
         self.store.append(
             "frames",
