@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from wkernels.sampling_rate import MapUse
 
 FLIP_PIXELS_PER_DEGREE = 67.02  # a 0.7 m wide 4K screen seen from 0.7 m, the value of the FLIP paper
+MOST_PIXELS = (
+    50.0  # no texel counts for more at a shadow's edge; on surfaces that the light grazes m is in the thousands
+)
 HARD_EDGE = 0.5  # a larger difference of visibility between neighbouring pixels is an edge, not a slope
 
 
@@ -136,6 +139,31 @@ def _over_lookups(reduce: Callable[[np.ndarray], float]) -> Callable[[Measured],
         return float(reduce(error.astype(np.float64))) if len(error) else None
 
     return evaluate
+
+
+def _edge_error(m: Measured) -> tuple[float, float] | None:
+    """Mean m, up to ``MOST_PIXELS``, beside the reference's hard edges, and the share of receivers there."""
+    if m.map_use is None or m.reference is None:
+        return None
+    receiver = np.isfinite(m.visibility) & np.isfinite(m.reference)
+    edge = beside_hard_edge(m.reference) & receiver
+    error = m.map_use.rate.m[edge & m.map_use.rate.is_read]
+    if not len(error):
+        return None
+    mean = np.minimum(error, MOST_PIXELS).mean(dtype=np.float64)
+    return float(mean), np.count_nonzero(edge) / np.count_nonzero(receiver)
+
+
+def _m_edge(m: Measured) -> float | None:
+    found = _edge_error(m)
+    return None if found is None else found[0]
+
+
+def _predicted_rmse(m: Measured) -> float | None:
+    # a point is judged by the centre of its texel, on average a quarter of a texel away across an edge; an edge of
+    # length 1 px has about two pixels beside it
+    found = _edge_error(m)
+    return None if found is None else float(np.sqrt(0.25 * found[0] * 0.5 * found[1]))
 
 
 def flip_map(visibility: np.ndarray, reference: np.ndarray) -> np.ndarray:
@@ -322,10 +350,35 @@ METRICS: Mapping[str, Metric] = {
             version=1,
             evaluate=lambda m: None if m.map_use is None else m.map_use.unread,
         ),
+        Metric(
+            "m_edge",
+            "m, edges",
+            f"Mean of the largest err_accurate, up to {MOST_PIXELS:g}, at pixels beside a hard edge of the reference.",
+            "texels in pixels",
+            best=0.0,
+            worst=float("inf"),
+            always=False,
+            from_images=False,
+            version=1,
+            evaluate=_m_edge,
+        ),
+        Metric(
+            "rmse_predicted",
+            "RMSE predicted",
+            "What the map's texels would do to the reference's hard edges, were each a quarter of m pixels off: "
+            "sqrt(m_edge times the share of pixels beside an edge / 8). Too large: m is that of the worst direction.",
+            "visibility",
+            best=0.0,
+            worst=float("inf"),
+            always=False,
+            from_images=False,
+            version=1,
+            evaluate=_predicted_rmse,
+        ),
     )
 }
 
-MAP_METRICS = ("m_pixel_median", "m_pixel_p99", "undersampled", "map_waste", "map_unread")
+MAP_METRICS = ("m_pixel_median", "m_pixel_p99", "undersampled", "map_waste", "map_unread", "m_edge", "rmse_predicted")
 """How the light map suits the picture: 20 to 40 ms for a label's frame of 640 x 360, outside all timings."""
 GROUPS: Mapping[str, tuple[str, ...]] = {"sampling": MAP_METRICS}
 """Names under ``metrics`` in an experiment file that stand for several."""

@@ -2,6 +2,8 @@
 
 One point per label and frame on which both are known. The link is judged by Spearman's rank correlation, because theory
 promises an order and no more: an error grows with the texels' size, by a factor that depends on the shadows in view.
+The last two predictors know where the reference's edges are: they tell whether the texels explain the error, and what
+is missing from the others.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ import pandas as pd
 
 from experiments.tables import table_text, write_text
 
-PREDICTORS = ("m_x_max", "m_z_max", "m_pixel_median", "m_pixel_p99", "undersampled")
+PREDICTORS = ("m_x_max", "m_z_max", "m_pixel_median", "m_pixel_p99", "undersampled", "m_edge", "rmse_predicted")
 MEASURED = "rmse"
 PREDICTION_COLUMNS = ("label", "predictor", "n", "spearman")
 PREDICTION_FILE = "prediction.csv"

@@ -17,6 +17,8 @@ TITLES = {
     "m_pixel_median": "median m over pixels",
     "m_pixel_p99": "99th percentile of m over pixels",
     "undersampled": "share of undersampled pixels",
+    "m_edge": "mean m beside the reference's edges",
+    "rmse_predicted": "RMSE predicted from m and edges",
 }
 _SHORT = {
     "m_x_max": "$m_x$",
@@ -24,6 +26,8 @@ _SHORT = {
     "m_pixel_median": "$m_{50}$",
     "m_pixel_p99": "$m_{99}$",
     "undersampled": "$u$",
+    "m_edge": "$m_e$",
+    "rmse_predicted": "$p$",
 }
 assert set(TITLES) == set(_SHORT) == set(PREDICTORS)
 COLUMNS = 3
@@ -41,11 +45,11 @@ def scatter(frames: pd.DataFrame, found: list[Correlation], look: Look) -> Figur
     by = {(row.label, row.predictor): row for row in found}
     labels = [label for label in dict.fromkeys(row.label for row in found) if label not in (ALL, WITHIN_FRAMES)]
     columns = min(COLUMNS, len(predictors) + 1)
-    rows = -(-(len(predictors) + 1) // columns)  # the legend takes the last place
+    rows = -(-(len(predictors) + 1) // columns)  # and the legend
     with styled():
         figure = Figure(figsize=(4.0 * columns, 3.6 * rows), dpi=100, layout="constrained")
         FigureCanvasAgg(figure)
-        places = list(np.atleast_1d(figure.subplots(rows, columns)).ravel())
+        places: list[Axes] = list(np.atleast_1d(figure.subplots(rows, columns)).ravel())
         for axes, predictor in zip(places, predictors, strict=False):
             points = points_of(frames, predictor)
             for label, own in points.groupby("label", sort=False):
@@ -58,7 +62,8 @@ def scatter(frames: pd.DataFrame, found: list[Correlation], look: Look) -> Figur
                     alpha=0.75,
                     linewidths=0.4,
                 )
-            log_axis(axes, "x", [points["predicted"]])
+            if predictor != "undersampled":
+                log_axis(axes, "x", [points["predicted"]])
             log_axis(axes, "y", [points["measured"]])
             axes.set_xlabel(TITLES[predictor])
             axes.set_ylabel("RMSE of visibility")
@@ -83,7 +88,7 @@ def _legend(
     axes.set_title("rank correlation within each label", fontsize=9)
     for label in labels:
         parts = [f"{_SHORT[p]} {_number(by[(label, p)].spearman)}" for p in predictors if (label, p) in by]
-        text = "\n".join([label, "  ".join(parts)])
+        text = "\n".join([label, "  ".join(parts[:4]), "  ".join(parts[4:])]).rstrip()
         axes.scatter([], [], s=22, marker=look.marker(label), color=look.color(label), label=text)
     axes.legend(loc="upper left", fontsize=8, borderaxespad=0.0, labelspacing=0.7)
 
