@@ -17,9 +17,7 @@ if TYPE_CHECKING:
     from wkernels.sampling_rate import MapUse
 
 FLIP_PIXELS_PER_DEGREE = 67.02  # a 0.7 m wide 4K screen seen from 0.7 m, the value of the FLIP paper
-MOST_PIXELS = (
-    50.0  # no texel counts for more at a shadow's edge; on surfaces that the light grazes m is in the thousands
-)
+MOST_PIXELS = 50.0  # at a shadow's edge no texel counts for more; where the light grazes m is in the thousands
 HARD_EDGE = 0.5  # a larger difference of visibility between neighbouring pixels is an edge, not a slope
 
 
