@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from experiments.metrics import HARD_EDGE
+from experiments.measured import HARD_EDGE
 
 # Largest miss, as a share of the distance to the furthest of the four pixels. Across a depth edge, pixels of the wrong
 # side then have at most this weight.

@@ -8,69 +8,27 @@ definition changes, so that numbers of different definitions are never mixed.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from wkernels.sampling_rate import MapUse
+from experiments.map_metrics import MAP_DESCRIPTORS, MAP_METRICS
+from experiments.measured import HARD_EDGE, Measured, Metric, beside_hard_edge
+
+__all__ = [
+    "GROUPS",
+    "HARD_EDGE",
+    "MAP_METRICS",
+    "METRICS",
+    "Measured",
+    "Metric",
+    "beside_hard_edge",
+    "distinguishable",
+    "evaluate",
+    "flip_map",
+    "signed_error",
+]
 
 FLIP_PIXELS_PER_DEGREE = 67.02  # a 0.7 m wide 4K screen seen from 0.7 m, the value of the FLIP paper
-MOST_PIXELS = 50.0  # at a shadow's edge no texel counts for more; where the light grazes m is in the thousands
-HARD_EDGE = 0.5  # a larger difference of visibility between neighbouring pixels is an edge, not a slope
-
-
-@dataclass(frozen=True, eq=False)
-class Measured:
-    """What one frame of one label offers to the metrics.
-
-    Attributes:
-        visibility: (H, W), 1 = lit, NaN where no receiver is seen.
-        standard_error: (H, W) of the technique's light sampling; None for techniques that do not sample the light.
-        reference: (H, W) reference visibility of the same receiver points; None where none was made.
-        reference_standard_error: (H, W), goes with ``reference``.
-        previous: Visibility of the frame before, carried to this frame's receiver points (``carry_over``), (H, W), NaN
-            where these were not seen; None on a first frame or where nothing asked for it.
-        map_use: How the light map that the technique read suits the frame; None for techniques that read none, or where
-            nothing asked for it.
-    """
-
-    visibility: np.ndarray
-    standard_error: np.ndarray | None = None
-    reference: np.ndarray | None = None
-    reference_standard_error: np.ndarray | None = None
-    previous: np.ndarray | None = None
-    map_use: MapUse | None = None
-
-
-@dataclass(frozen=True)
-class Metric:
-    """One metric.
-
-    Attributes:
-        name: Column in frames.csv and key under ``metrics`` in an experiment file.
-        title: Name for axes and table heads.
-        description: What it measures, in one sentence.
-        unit: Unit of the number.
-        best: The value of a perfect image; larger distance from it is worse.
-        worst: The value furthest from ``best`` that can occur.
-        always: Whether it is computed without being asked for (whenever its inputs exist).
-        from_images: Whether the stored raw images of that frame suffice to compute it again.
-        version: Version of the definition.
-        evaluate: The function; None where an input is missing.
-    """
-
-    name: str
-    title: str
-    description: str
-    unit: str
-    best: float
-    worst: float
-    always: bool
-    from_images: bool
-    version: int
-    evaluate: Callable[[Measured], float | None]
 
 
 def signed_error(visibility: np.ndarray, reference: np.ndarray) -> np.ndarray:
@@ -112,56 +70,6 @@ def _flicker(m: Measured) -> float | None:
     if m.previous is None:
         return None
     return _rms_of_finite(m.visibility - m.previous, np.where(beside_hard_edge(m.visibility), np.nan, m.visibility))
-
-
-def beside_hard_edge(visibility: np.ndarray) -> np.ndarray:
-    """Whether one of a pixel's four neighbours differs by more than ``HARD_EDGE``; bool (H, W)."""
-    out = np.zeros(visibility.shape, dtype=bool)
-    across, down = np.abs(np.diff(visibility, axis=1)), np.abs(np.diff(visibility, axis=0))
-    with np.errstate(invalid="ignore"):
-        across, down = across > HARD_EDGE, down > HARD_EDGE
-    out[:, 1:] |= across
-    out[:, :-1] |= across
-    out[1:] |= down
-    out[:-1] |= down
-    return out
-
-
-def _over_lookups(reduce: Callable[[np.ndarray], float]) -> Callable[[Measured], float | None]:
-    """Of the largest error m at the receiver pixels that look into the map."""
-
-    def evaluate(m: Measured) -> float | None:
-        if m.map_use is None:
-            return None
-        error = m.map_use.rate.m[m.map_use.rate.is_read & np.isfinite(m.visibility)]
-        return float(reduce(error.astype(np.float64))) if len(error) else None
-
-    return evaluate
-
-
-def _edge_error(m: Measured) -> tuple[float, float] | None:
-    """Mean m, up to ``MOST_PIXELS``, beside the reference's hard edges, and the share of receivers there."""
-    if m.map_use is None or m.reference is None:
-        return None
-    receiver = np.isfinite(m.visibility) & np.isfinite(m.reference)
-    edge = beside_hard_edge(m.reference) & receiver
-    error = m.map_use.rate.m[edge & m.map_use.rate.is_read]
-    if not len(error):
-        return None
-    mean = np.minimum(error, MOST_PIXELS).mean(dtype=np.float64)
-    return float(mean), np.count_nonzero(edge) / np.count_nonzero(receiver)
-
-
-def _m_edge(m: Measured) -> float | None:
-    found = _edge_error(m)
-    return None if found is None else found[0]
-
-
-def _predicted_rmse(m: Measured) -> float | None:
-    # a point is judged by the centre of its texel, on average a quarter of a texel away across an edge; an edge of
-    # length 1 px has about two pixels beside it
-    found = _edge_error(m)
-    return None if found is None else float(np.sqrt(0.25 * found[0] * 0.5 * found[1]))
 
 
 def flip_map(visibility: np.ndarray, reference: np.ndarray) -> np.ndarray:
@@ -288,96 +196,10 @@ METRICS: Mapping[str, Metric] = {
             version=2,  # 1 counted pixels beside hard edges, which flicker under every technique
             evaluate=_flicker,
         ),
-        Metric(
-            "m_pixel_median",
-            "m, median",
-            "Median over receiver pixels of the largest err_accurate, texel over pixel; above 1 the map is too coarse.",
-            "texels in pixels",
-            best=0.0,
-            worst=float("inf"),
-            always=False,
-            from_images=False,
-            version=1,
-            evaluate=_over_lookups(np.median),
-        ),
-        Metric(
-            "m_pixel_p99",
-            "m, p99",
-            "99th percentile over receiver pixels of the largest err_accurate.",
-            "texels in pixels",
-            best=0.0,
-            worst=float("inf"),
-            always=False,
-            from_images=False,
-            version=1,
-            evaluate=_over_lookups(lambda error: float(np.percentile(error, 99.0))),
-        ),
-        Metric(
-            "undersampled",
-            "undersampled",
-            "Share of the receiver pixels that look into the map whose err_accurate is above 1 in some direction.",
-            "share",
-            best=0.0,
-            worst=1.0,
-            always=False,
-            from_images=False,
-            version=1,
-            evaluate=_over_lookups(lambda error: float(np.mean(error > 1.0))),
-        ),
-        Metric(
-            "map_waste",
-            "map wasted",
-            "Share of the map's area outside of what the eye can see of the receivers' box; mean over layers.",
-            "share",
-            best=0.0,
-            worst=1.0,
-            always=False,
-            from_images=False,
-            version=1,
-            evaluate=lambda m: None if m.map_use is None else m.map_use.waste,
-        ),
-        Metric(
-            "map_unread",
-            "map unread",
-            "Share of the map's texels that no receiver pixel falls into; it depends on the number of pixels.",
-            "share",
-            best=0.0,
-            worst=1.0,
-            always=False,
-            from_images=False,
-            version=1,
-            evaluate=lambda m: None if m.map_use is None else m.map_use.unread,
-        ),
-        Metric(
-            "m_edge",
-            "m, edges",
-            f"Mean of the largest err_accurate, up to {MOST_PIXELS:g}, at pixels beside a hard edge of the reference.",
-            "texels in pixels",
-            best=0.0,
-            worst=float("inf"),
-            always=False,
-            from_images=False,
-            version=1,
-            evaluate=_m_edge,
-        ),
-        Metric(
-            "rmse_predicted",
-            "RMSE predicted",
-            "What the map's texels would do to the reference's hard edges, were each a quarter of m pixels off: "
-            "sqrt(m_edge times the share of pixels beside an edge / 8). Too large: m is that of the worst direction.",
-            "visibility",
-            best=0.0,
-            worst=float("inf"),
-            always=False,
-            from_images=False,
-            version=1,
-            evaluate=_predicted_rmse,
-        ),
+        *MAP_DESCRIPTORS,
     )
 }
 
-MAP_METRICS = ("m_pixel_median", "m_pixel_p99", "undersampled", "map_waste", "map_unread", "m_edge", "rmse_predicted")
-"""How the light map suits the picture: 20 to 40 ms for a label's frame of 640 x 360, outside all timings."""
 GROUPS: Mapping[str, tuple[str, ...]] = {"sampling": MAP_METRICS}
 """Names under ``metrics`` in an experiment file that stand for several."""
 
