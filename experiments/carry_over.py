@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from experiments.measured import HARD_EDGE
+
 # Largest miss, as a share of the distance to the furthest of the four pixels. Across a depth edge, pixels of the wrong
 # side then have at most this weight.
 _MATCH = 0.1
@@ -44,7 +46,8 @@ def carry_over(
 
     Interpolates between the four previous pixels around a point, and only where the positions they saw interpolate to
     the point itself. That leaves out disocclusions, silhouettes and meshes that moved, so that what remains is change
-    of shadow.
+    of shadow. A hard edge between the four is left out too: on which side of it the point was is not known, and a guess
+    would count as flicker in a picture of rays, which has none.
 
     Args:
         previous_visibility: (H, W), NaN where no receiver was seen.
@@ -59,7 +62,8 @@ def carry_over(
     found = _look_up(previous_position_ws, previous_ws_to_ss, position_ws)
     if found is not None:
         seen = np.stack([previous_visibility[r, c].astype(np.float64) for r, c in found.corners])
-        out[found.inside] = np.where(found.matches, (found.weights * seen).sum(axis=0), np.nan)
+        known = found.matches & (np.ptp(seen, axis=0) <= HARD_EDGE)
+        out[found.inside] = np.where(known, (found.weights * seen).sum(axis=0), np.nan)
     return out.reshape(previous_visibility.shape)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from algorithms.composition import DEFAULTS as PLAINEST
 from algorithms.composition import compose
 from experiments.config.needs import unmet_need
-from experiments.metrics import METRICS
+from experiments.metrics import MAP_METRICS, METRICS
 from wkernels.geometry import Bounds
 from wkernels.views import eye_view
 
@@ -102,7 +102,7 @@ def _work_lines(experiment: Experiment, plugins: Mapping[str, type]) -> list[str
         rays = len(chosen) * pixels * experiment.reference.samples
         lines.append(
             f"reference on {len(chosen)} frame{_s(len(chosen))}: {_ranges(chosen)}; "
-            f"{experiment.reference.samples} light samples, at most {rays:,} rays; "
+            f"{_samples_of(experiment)}, at most {rays:,} rays; "
             "frames in the cache are not traced again"
         )
     asked = set(experiment.metrics) | {metric.name for metric in METRICS.values() if metric.always}
@@ -142,6 +142,8 @@ def _left_out_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, 
         if name not in experiment.metrics and (experiment.reference or not _needs_reference(name))
     ]
     lines += _fallback_lines(experiment, scene)
+    if set(MAP_METRICS).isdisjoint(experiment.metrics):
+        lines.append("sampling rates per pixel and wasted map area: not among the experiment's metrics (sampling)")
     used = {run.name for run in experiment.runs}
     for name, cls in plugins.items():
         if name not in used and (why := unmet_need(cls, scene, light)):
@@ -179,8 +181,15 @@ def _corners(mesh: Mesh, frame: int) -> np.ndarray:
     return points[np.isfinite(points).all(axis=1)]
 
 
+def _samples_of(experiment: Experiment) -> str:
+    assert experiment.reference is not None
+    if experiment.reference.light == "centre":
+        return "the light's centre alone"
+    return f"{experiment.reference.samples} light samples"
+
+
 def _needs_reference(name: str) -> bool:
-    return name not in ("standard_error", "flicker")
+    return name not in ("standard_error", "flicker", *MAP_METRICS)
 
 
 def _camera_rests(experiment: Experiment, scene: Scene) -> bool:

@@ -81,6 +81,7 @@ class ReferenceRenderer:
         samples: Points on the light, 1 to a million; a light without area takes one ray.
         width, height: Pixels.
         light: Index of the light.
+        centre: Whether to ask for the light's centre alone, by one ray: the reference of hard shadows.
         device: The geometry's Warp device.
         threads: CPU threads; None for all. Never changes the result.
         seed: Seed of the sample set.
@@ -98,6 +99,7 @@ class ReferenceRenderer:
         width: int,
         height: int,
         light: int = 0,
+        centre: bool = False,
         device: str = "cpu",
         threads: int | None = None,
         seed: int = 1,
@@ -108,7 +110,7 @@ class ReferenceRenderer:
         self.geometry, self.cache = geometry, cache
         self._size, self._light_index = (width, height), light
         self._device, self._threads, self._seed = device, threads, seed
-        self._has_area = geometry.scene.lights[light].has_area
+        self._has_area = geometry.scene.lights[light].has_area and not centre
         self._samples = int(samples) if self._has_area else 1
         self._session: Session | None = None
         self._technique = _technique(self._has_area, self._samples)
@@ -244,6 +246,7 @@ def reference_for(
     width: int,
     height: int,
     light: int = 0,
+    centre: bool = False,
     device: str = "cpu",
     threads: int | None = None,
     seed: int = 1,
@@ -260,6 +263,7 @@ def reference_for(
         width=width,
         height=height,
         light=light,
+        centre=centre,
         device=device,
         threads=threads,
         seed=seed,

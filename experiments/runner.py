@@ -132,6 +132,7 @@ class _Walkthrough:
         self.done = len(stored)
         self.wants_flicker = "flicker" in experiment.metrics
         self._unseen: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+        self.wants_map_use = not set(metrics.MAP_METRICS).isdisjoint(experiment.metrics)
         reference = experiment.reference
         self.reference_frames = set(experiment.frames[:: reference.every]) if reference else set()
 
@@ -226,6 +227,7 @@ class _Walkthrough:
             reference=reference[0] if reference else None,
             reference_standard_error=reference[1] if reference else None,
             previous=self._previous(lane, result),
+            map_use=self.engine.map_use(lane.session) if self.wants_map_use else None,
         )
         self.store.append(
             "frames",

@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import Any, Literal, Self
 
 from experiments.config.source import load_yaml
-from experiments.metrics import METRICS
+from experiments.metrics import MAP_METRICS, METRICS
 from experiments.tables import Row, Table, read_table, table_text, write_text
 from wkernels.errors import InputError
 
@@ -24,6 +24,7 @@ FRAME_COLUMNS = (
     "rmse", "mean_signed_error", "p99_error", "flip", "standard_error", "reference_standard_error",
     "m_x_max", "m_z_max", "flicker",
     "frame_ms_q1", "frame_ms_q3", "shadow_ms_q1", "shadow_ms_q3", "receiver_pixels", "disoccluded",
+    *MAP_METRICS,
 )  # fmt: skip
 PASS_COLUMNS = ("technique", "label", "frame", "pass", "ms")
 LEFT_OUT_COLUMNS = ("label", "what", "reason", "count", "frame")
@@ -153,7 +154,8 @@ class Store:
             raise InputError(message, file=self.out / "environment.json")
 
     def _clear(self) -> None:
-        names = [f"{name}.csv" for name in (*TABLES, "convergence", "estimates", "stability", "summary", "published")]
+        written = ("convergence", "estimates", "stability", "summary", "published", "prediction")
+        names = [f"{name}.csv" for name in (*TABLES, *written)]
         names += ["report.html", "environment.json", "config.yaml"]
         for name in names:
             (self.out / name).unlink(missing_ok=True)

@@ -106,6 +106,7 @@ class Session:
         self._previous_camera: Any = None
         self.left_out: dict[tuple[str, str], int] = {}
         self.light_views: tuple[list[HostView], np.ndarray] | None = None
+        self.read_map: LightMap | None = None  # the map with these views
         self._gbuffers: dict[tuple[int, int], gb.GBuffer] = {}
         self._visit = 0
         self._map_bytes = 0  # of all light depth maps among the products
@@ -130,7 +131,7 @@ class Session:
     def render(self, technique: Renders) -> FrameResult:
         """Runs one technique on the current frame and reads its results back (reading back is not timed)."""
         self.left_out.clear()
-        self.light_views = None
+        self.light_views = self.read_map = None
         self._gbuffers.clear()
         self.standard_error = None
         wake_workers(self.device, self.threads)
@@ -352,7 +353,8 @@ class Session:
             self.record(what, reason)
         if jitter is not None:
             views = [jittered_view(view, jitter) for view in views]
-        if light_ws is None or self.light_views is None:
+        shown = light_ws is None or self.light_views is None
+        if shown:
             self.light_views = (views, sample)
         key: Hashable = ("map", slot, resolution, cull, tag_moving_casters)
         options: MapOptions = getattr(self.projection, "map_options", PLAIN_MAP)
@@ -371,6 +373,8 @@ class Session:
             return made
 
         out: LightMap = self.product("light depth map", key, inputs, build)
+        if shown:
+            self.read_map = out
         return out
 
     def history(self, name: str, allocate: Callable[[], Any], margin: tuple[int, int] = (0, 0)) -> History:

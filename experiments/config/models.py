@@ -22,10 +22,32 @@ class Image(StrictModel):
 
 
 class Reference(StrictModel):
-    """The ray-cast reference: ``samples`` light samples per pixel, on every ``every``-th rendered frame."""
+    """The ray-cast reference.
+
+    Attributes:
+        samples: Light samples per pixel; one ray is exact for a light without area, and more are not cast.
+        every: Made on every so many rendered frames.
+        light: What is asked for: the visibility of the ``whole`` light, or that of its ``centre``, which is the picture
+            that techniques for hard shadows are after: one ray, as ``ray_cast_point_shadow``.
+    """
 
     samples: int = Field(256, ge=1, le=1_000_000)
     every: int = Field(1, ge=1)
+    light: Literal["whole", "centre"] = "whole"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_sample(cls, data: Any) -> Any:
+        """The default of the centre."""
+        if isinstance(data, dict) and data.get("light") == "centre":
+            return {"samples": 1, **data}
+        return data
+
+    @model_validator(mode="after")
+    def _centre_is_one_sample(self) -> Reference:
+        if self.light == "centre" and self.samples != 1:
+            raise ValueError(f"asks for {self.samples} samples of the light's centre, which is one.")
+        return self
 
 
 class Projection(StrictModel):

@@ -181,18 +181,21 @@ def _check_kind(source: Source) -> None:
 
 
 def _metrics(source: Source, file: WalkthroughFile) -> tuple[str, ...]:
-    from experiments.metrics import METRICS
+    from experiments.metrics import GROUPS, METRICS
 
     if file.metrics is None:
         return ("rmse", "mean_signed_error", "p99_error", "flip") if file.reference else ()
-    for i, name in enumerate(file.metrics):
-        if name not in METRICS:
-            raise source.error(f"there is no metric '{name}'." + nearest(name, METRICS), ("metrics", i))
-        if name in REFERENCE_METRICS and file.reference is None:
-            raise source.error(f"the metric '{name}' needs the key 'reference' in this file.", ("metrics", i))
-        if name in file.metrics[:i]:
-            raise source.error(f"the metric '{name}' is listed twice.", ("metrics", i))
-    return tuple(file.metrics)
+    out: list[str] = []
+    for i, entry in enumerate(file.metrics):
+        for name in GROUPS.get(entry, (entry,)):
+            if name not in METRICS:
+                raise source.error(f"there is no metric '{name}'." + nearest(name, (*METRICS, *GROUPS)), ("metrics", i))
+            if name in REFERENCE_METRICS and file.reference is None:
+                raise source.error(f"the metric '{name}' needs the key 'reference' in this file.", ("metrics", i))
+            if name in out:
+                raise source.error(f"the metric '{name}' is listed twice.", ("metrics", i))
+            out.append(name)
+    return tuple(out)
 
 
 def _frames(file: WalkthroughFile, scene: Scene) -> tuple[int, ...]:

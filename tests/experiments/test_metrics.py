@@ -8,6 +8,7 @@ from fake_engine import HEIGHT, WIDTH, camera, floor_positions, true_visibility
 
 from experiments.carry_over import carry_over, disoccluded
 from experiments.metrics import METRICS, Measured, distinguishable, evaluate, flip_map
+from wkernels.sampling_rate import MapUse, SamplingRate
 from wkernels.views import eye_view
 
 EVERY = frozenset(METRICS)
@@ -162,6 +163,44 @@ def test_what_comes_into_the_picture_is_disoccluded() -> None:
     known = np.isfinite(floor_positions(60)[..., 0]) & (np.arange(HEIGHT)[:, None] > 8)
     assert 0.05 < outside[known].mean() < 0.9
     assert (unseen == outside)[known].mean() > 0.98  # half a pixel at the border may count as seen
+
+
+def use_of(m: np.ndarray, read: np.ndarray) -> MapUse:
+    texel = np.where(read, 0, -1).astype(np.int32)
+    return MapUse(SamplingRate(m, m, m, m, m, m, np.zeros(m.shape, np.int32), texel), 0.5, 0.75)
+
+
+def test_metrics_of_the_map_are_over_receivers_that_look_into_it() -> None:
+    rng = np.random.default_rng(11)
+    visibility = np.ones((12, 10), np.float32)
+    visibility[:3] = np.nan
+    m = rng.uniform(0.2, 4.0, (12, 10)).astype(np.float32)
+    read = rng.random((12, 10)) < 0.7
+    m[0, 0], m[~read] = np.inf, np.nan
+    own = m[3:][read[3:]].astype(float)
+    got = evaluate(EVERY, Measured(visibility, map_use=use_of(m, read)))
+    assert got["m_pixel_median"] == pytest.approx(np.median(own))
+    assert got["m_pixel_p99"] == pytest.approx(np.percentile(own, 99.0))
+    assert got["undersampled"] == pytest.approx(sum(value > 1.0 for value in own) / len(own))
+    assert (got["map_waste"], got["map_unread"]) == (0.5, 0.75)
+    assert got["m_edge"] is None and got["rmse_predicted"] is None  # no reference
+    nowhere = evaluate(EVERY, Measured(visibility, map_use=use_of(m, np.zeros_like(read))))
+    assert nowhere["m_pixel_median"] is None and nowhere["undersampled"] is None
+
+
+def test_predicted_rmse_counts_the_edges_of_the_reference() -> None:
+    """A straight edge of one pixel's length per row, texels of 4 pixels: a quarter of a texel wrong, 1 of 20 pixels."""
+    reference = np.where(np.arange(20)[None] < 10, 0.0, 1.0).repeat(6, axis=0).astype(np.float32)
+    m = np.full((6, 20), 4.0, np.float32)
+    m[:, :5] = 1e9  # far from the edge
+    measured = Measured(reference, reference=reference, map_use=use_of(m, np.ones(m.shape, dtype=bool)))
+    got = evaluate(EVERY, measured)
+    assert got["m_edge"] == 4.0
+    assert got["rmse_predicted"] == pytest.approx(np.sqrt(1.0 / 20.0))
+    m[:] = 1e9  # grazed by the light: no texel counts for more than ``MOST_PIXELS``
+    assert evaluate(EVERY, measured)["m_edge"] == 50.0
+    lit = np.ones_like(reference)
+    assert evaluate(EVERY, Measured(lit, reference=lit, map_use=measured.map_use))["m_edge"] is None
 
 
 def test_descriptors_are_complete() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments import reference, reference_visibility
+from experiments import reference, reference_visibility, render_visibility
 from experiments.reference import Reference, ReferenceRenderer, cache_folder, reference_for
 from wkernels.errors import InputError
 from wkernels.geometry import Geometry
@@ -64,6 +64,20 @@ def test_values() -> None:
     v = made.visibility[seen].astype(np.float64)
     assert v.min() == 0.0 and v.max() == 1.0 and ((v > 0.0) & (v < 1.0)).any()
     np.testing.assert_allclose(made.standard_error[seen], np.sqrt(v * (1.0 - v) / 63.0), rtol=1e-5, atol=1e-7)
+
+
+def test_the_centre_of_a_light_is_one_ray(cache: Path) -> None:
+    """What ``ray_cast_point_shadow`` renders: hard, exact, and cached apart from the whole light's."""
+    whole, centre = render(scene()), render(scene(), centre=True)
+    assert not centre.from_cache and render(scene(), centre=True).from_cache and render(scene()).from_cache
+    seen = np.isfinite(centre.visibility)
+    assert set(np.unique(centre.visibility[seen])) == {0.0, 1.0} and (centre.standard_error[seen] == 0.0).all()
+    assert not same(whole, centre)
+    of = scene()
+    hard = render_visibility(of, technique="ray_cast_point_shadow", **SIZE)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(centre.visibility, hard.visibility)
+    point = replace(of, lights=(PointLight(position=np.array([0.0, 6.0, 0.0])),))
+    assert same(render(point), render(point, centre=True))
 
 
 def test_second_time_comes_from_the_cache(cache: Path) -> None:

@@ -84,6 +84,22 @@ def test_errors_are_empty_where_there_is_no_reference(tmp_path: Path) -> None:
     assert {row["rmse"] for row in exact} == {"0"}  # measured, and none
 
 
+def test_sampling_is_measured_only_where_it_is_asked_for_and_a_map_is_read(tmp_path: Path) -> None:
+    rows = finished(tmp_path / "without").rows("frames")
+    assert all(row[name] == "" for row in rows for name in metrics.MAP_METRICS)
+    rows = finished(tmp_path / "with", make_experiment(metrics=["rmse", *metrics.MAP_METRICS])).rows("frames")
+    for row in rows:
+        size = float(row["frame"]) + 1.0
+        if row["label"] == "memory":  # reads no map
+            assert all(row[name] == "" for name in metrics.MAP_METRICS)
+            continue
+        assert float(row["m_pixel_median"]) == float(row["m_pixel_p99"]) == size
+        assert float(row["undersampled"]) == float(size > 1.0)
+        assert (row["map_waste"], row["map_unread"]) == ("0.25", "0.5")
+        # the fake's reference is smooth: it has no hard edge
+        assert row["m_edge"] == row["rmse_predicted"] == ""
+
+
 def test_errors_are_those_of_the_stored_images(tmp_path: Path) -> None:
     store = finished(tmp_path)
     for row in store.rows("frames"):
