@@ -28,6 +28,7 @@ from wkernels.lights import Light
 from wkernels.raster import CULL_NONE, Rasteriser
 from wkernels.rays import LightHull
 from wkernels.sampling import light_set
+from wkernels.scene import Camera
 from wkernels.shading import shade
 from wkernels.timing import PassTimer
 from wkernels.views import HostView, View, eye_view
@@ -81,6 +82,7 @@ class Session:
         seed: Shift of all sample sets; 1 is the plain, unshifted set.
         projection: Where light depth maps look; ``scene_views`` unless given.
         skips: Whether work that the scene cannot need may be left out.
+        index: Frame to begin with; the geometry's, where others are using it.
     """
 
     def __init__(
@@ -95,13 +97,14 @@ class Session:
         seed: int = 1,
         projection: LightViews | None = None,
         skips: bool = True,
+        index: int = 0,
     ) -> None:
         self.geometry = geometry
         self.width, self.height = width, height
         self.device, self.threads, self.seed, self.skips = device, threads, seed, skips
         self.light: Light = geometry.scene.lights[light_index].moved(-geometry.origin_ws)
         self.projection: LightViews = projection or _fit_scene
-        self.index = 0  # frame index in the scene's path
+        self.index = index  # frame index in the scene's path
         self.count = 0  # frames since the last reset: how often history has been committed
         self.standard_error: wp.array | None = None  # a technique may set it in render
         self._rasteriser = Rasteriser(device, threads)
@@ -115,7 +118,7 @@ class Session:
         self._gbuffers: dict[tuple[int, int], gb.GBuffer] = {}
         self._visit = 0
         self._camera: Any = None
-        self.begin(0)
+        self.begin(index)
 
     # ---- frame by frame
     # -------------------------------------------------------------------------------------------------
@@ -131,6 +134,10 @@ class Session:
         self.index = frame_index
         self.geometry.set_frame(frame_index)
         self._camera = self.geometry.scene.camera(frame_index)
+
+    def look(self, camera: Camera) -> None:
+        """Puts another camera in the place of the path's, until ``begin`` is called again."""
+        self._camera = camera
 
     def render(self, technique: Renders) -> FrameResult:
         """Runs one technique on the current frame and reads its results back (reading back is not timed)."""

@@ -15,7 +15,7 @@ from experiments import summary
 from experiments.images import ERROR_SCALE
 from experiments.metrics import METRICS
 from experiments.report import plots, style
-from experiments.report.pictures import error_scale_css, picture_frames
+from experiments.report.pictures import error_scale_css, picture_frames, view_groups
 from experiments.store import Store
 from experiments.tables import write_text
 from wkernels.errors import InputError
@@ -106,6 +106,7 @@ def _page(
         svgs=svgs,
         pictures=picture_frames(store, labels, all_pictures),
         picture_frames=all_pictures,
+        views=view_groups(store, labels),
         error_scale=ERROR_SCALE,
         error_gradient=Markup(gradient),  # made of numbers only
         error_ticks=ticks,
