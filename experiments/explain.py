@@ -110,7 +110,8 @@ def _view_lines(experiment: Experiment) -> list[str]:
     whose = ", ".join(views.labels) if views.labels else "every label that reads a light map"
     size = views.image
     return [
-        f"of {whose}, on frame{_s(len(frames))} {_ranges(frames)}; third-person pictures of {size.width} x {size.height}",
+        f"of {whose}, on frame{_s(len(frames))} {_ranges(frames)}; "
+        f"third-person pictures of {size.width} x {size.height}",
         f"{len(names)} picture{_s(len(names))} each, to images/LABEL/views: {', '.join(names)}",
         "what has no meaning for a label is named in left_out.csv; none of this is timed",
     ]

@@ -95,6 +95,9 @@ ViewName = Literal[
 ]
 
 
+RateMode = Literal["det", "x", "y"]
+
+
 class ThirdPerson(StrictModel):
     """The free camera of ``views``: at a point, or around what the eye sees.
 
@@ -128,6 +131,10 @@ class ThirdPerson(StrictModel):
         return self
 
 
+def _area_only() -> list[RateMode]:
+    return ["det"]
+
+
 class Views(StrictModel):
     """Pictures that show why a technique fails (Stingl 2011, chapter 5), outside all timing.
 
@@ -144,9 +151,9 @@ class Views(StrictModel):
     frames: Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=1)] | FrameRange | None = None
     kinds: Literal["all"] | Annotated[list[ViewName], Field(min_length=1)] = "all"
     labels: Annotated[list[str], Field(min_length=1)] | None = None
-    third_person: ThirdPerson = Field(default_factory=lambda: ThirdPerson())
+    third_person: ThirdPerson = Field(default_factory=lambda: ThirdPerson.model_validate({}))
     image: Image | None = None
-    modes: Annotated[list[Literal["det", "x", "y"]], Field(min_length=1)] = Field(default_factory=lambda: ["det"])
+    modes: Annotated[list[RateMode], Field(min_length=1)] = Field(default_factory=_area_only)
     texels: int | None = Field(None, ge=1, le=8192)
 
 

@@ -12,9 +12,7 @@ from wkernels.errors import nearest
 VIEW_NAMES: tuple[str, ...] = get_args(ViewName)
 
 
-def resolve_views(
-    source: Source, file: WalkthroughFile, frames: Sequence[int], labels: Sequence[str]
-) -> Views | None:
+def resolve_views(source: Source, file: WalkthroughFile, frames: Sequence[int], labels: Sequence[str]) -> Views | None:
     """The pictures that a file asks for, with every default filled in; None where it asks for none.
 
     Args:

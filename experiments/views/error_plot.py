@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from experiments.report.style import INK, styled
+from experiments.report.style import INK, log_axis, styled
 from experiments.views.sheet import Panel, Sheet
 from experiments.views.subject import Subject
 from wkernels.light_views import perspective_aliasing
@@ -23,6 +23,7 @@ STEPS = 400  # depths per split
 _SIDE = 1e-6  # how far before and behind a border its two sides are
 _IN_PLANE = np.sin(np.radians(3.0))  # how far the light may leave the plane of view and up vector
 _SIZE = (9.0, 5.2)  # inches
+_AXES = (0.085, 0.235, 0.895, 0.72)  # left, bottom, width, height
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +48,9 @@ def curves(subject: Subject) -> Curves:
     parts = []
     for near, far in ranges:
         begin, end = near * (1.0 + _SIDE), far * (1.0 - _SIDE)
-        parts.append(perspective_aliasing(subject.views, subject.light_ws, replace(subject.eye, near=begin, far=end), STEPS))
+        parts.append(
+            perspective_aliasing(subject.views, subject.light_ws, replace(subject.eye, near=begin, far=end), STEPS)
+        )
     z, m_x, m_z = (np.concatenate([part[k] for part in parts]) for k in range(3))
     return Curves(z, m_x, m_z, np.array([ranges[0][0], *(far for _, far in ranges)]))
 
@@ -56,7 +59,8 @@ def closed_form(subject: Subject, borders: np.ndarray) -> tuple[np.ndarray, np.n
     """Depths, m_x and m_z of the closed form, or why it does not hold here.
 
     It is the error of a map fitted to the whole frustum between two borders, under directional light in the plane of
-    view and up vector (``wkernels.perspective_error.TiltedFrustum``); the scene's box, which cuts the frustum, is not in it.
+    view and up vector (``wkernels.perspective_error.TiltedFrustum``). The scene's box, which cuts the
+    frustum, is not in it.
     """
     towards = subject.to_light(np.zeros(3))
     if subject.light_ws[3] != 0.0:
@@ -93,7 +97,7 @@ def perspective_error(subject: Subject) -> Sheet:
     with styled():
         figure = Figure(figsize=_SIZE, dpi=100, facecolor="white")
         canvas = FigureCanvasAgg(figure)
-        axes = figure.add_axes((0.085, 0.235, 0.895, 0.70))
+        axes = figure.add_axes(_AXES)
         _draw(axes, subject, found, None if isinstance(closed, str) else closed)
         canvas.draw()
         image = np.asarray(canvas.buffer_rgba())[:, :, :3].astype(float) / 255.0
@@ -122,7 +126,9 @@ def _draw(
     if closed is not None:
         for m, color in ((closed[1], ORANGE), (closed[2], BLUE)):
             split = np.arange(STEPS, len(closed[0]), STEPS)
-            axes.plot(np.insert(closed[0], split, np.nan), np.insert(m, split, np.nan), color=color, lw=1.0, ls=(0, (4, 3)))
+            axes.plot(
+                np.insert(closed[0], split, np.nan), np.insert(m, split, np.nan), color=color, lw=1.0, ls=(0, (4, 3))
+            )
     axes.axhline(1.0, color=INK, lw=0.8, alpha=0.6)
     for i, border in enumerate(found.borders):
         sides = [k for k in (i * STEPS - 1, i * STEPS) if 0 <= k < len(found.z)]
@@ -156,10 +162,7 @@ def _set_scales(axes: Axes, found: Curves) -> None:
         axes.set_xlim(near - 0.02 * (far - near), far + 0.02 * (far - near))
     values = np.concatenate([found.m_x, found.m_z, [1.0]])
     values = values[np.isfinite(values) & (values > 0.0)]
-    axes.set_yscale("log")
-    axes.set_ylim(values.min() / 1.3, values.max() * 1.6)
-    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    axes.yaxis.set_minor_formatter(lambda value, _: "")
+    log_axis(axes, "y", [values])
 
 
 def _write_borders(axes: Axes, marks: list[tuple[float, list[float], list[float]]]) -> None:
@@ -167,7 +170,7 @@ def _write_borders(axes: Axes, marks: list[tuple[float, list[float], list[float]
     axes.set_xticks([border for border, _, _ in marks], labels=[""] * len(marks))
     axes.set_xticks([], minor=True)
     where = axes.get_xaxis_transform()
-    end = [-np.inf, -np.inf]  # of the two rows that texts take turns in
+    end = [-np.inf, -np.inf]  # the places of the last texts of the two rows that texts take turns in
     for i, (border, m_x, m_z) in enumerate(marks):
         name = "n" if i == 0 else "f" if i == len(marks) - 1 else f"{i}"
         place = float(axes.transAxes.inverted().transform(axes.transData.transform((border, 1.0)))[0])
@@ -181,6 +184,9 @@ def _write_borders(axes: Axes, marks: list[tuple[float, list[float], list[float]
         for k, (text, color) in enumerate(lines):
             y = -0.02 - 0.046 * k - 0.155 * row
             axes.text(border, y, text, transform=where, ha=align, va="top", fontsize=7.5, color=color)
+    if np.isinf(end[1]):  # one row is enough
+        left, bottom, width, height = _AXES
+        axes.set_position((left, bottom - 0.11, width, height + 0.11))
 
 
 def _sides(values: list[float]) -> str:

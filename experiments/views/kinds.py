@@ -32,7 +32,7 @@ KINDS: Mapping[str, Kind] = {
     ),
     "split_colours": Kind(
         "Split colours",
-        "The split, or layer, that each receiver reads: red, yellow, green, blue and again (Stingl 2011, equation 5.1).",
+        "The split, or layer, that each receiver reads: red, yellow, green, blue, again (Stingl 2011, equation 5.1).",
         ("eye", "third"),
     ),
     "sampling_frequency": Kind(
@@ -49,8 +49,8 @@ KINDS: Mapping[str, Kind] = {
     ),
     "intersection_bodies": Kind(
         "Intersection bodies",
-        "Per split the body B that holds all light rays to what the eye sees, and its axis-aligned box: what the map has "
-        "to cover and what may cast into it.",
+        "Per split the body B that holds all light rays to what the eye sees, and its axis-aligned box: what the map "
+        "has to cover and what may cast into it.",
         ("third",),
     ),
     "frusta": Kind(
@@ -74,13 +74,14 @@ KINDS: Mapping[str, Kind] = {
     "depth_map": Kind("Depth maps", "Linear depth from the light, layer by layer.", ("map",)),
     "shadow_area_waste": Kind(
         "Wasted shadow-map area",
-        "What the texels are spent on: read by a pixel of the eye, within the body that the eye sees but read by none, or "
-        "outside it.",
+        "What the texels are spent on: read by a pixel of the eye, within the body that the eye sees but read by none, "
+        "or outside it.",
         ("map", "third"),
     ),
     "perspective_error": Kind(
         "Perspective aliasing error",
-        "Pixels that a texel spans along the view vector, across (m_x) and along (m_z) it: above 1 the map is too coarse.",
+        "Pixels that a texel spans along the view vector, across (m_x) and along it (m_z): above 1 the map is too "
+        "coarse.",
         ("map",),
     ),
 }

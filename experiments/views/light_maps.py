@@ -78,21 +78,25 @@ def shadow_area_waste(subject: Subject) -> Sheet:
     panels, shares = [], []
     for i in range(len(subject.views)):
         inside = texels_inside(subject, i) | read[i]
-        grey = _grey(_sampled(depth[i], size), low, high)
-        image = grey
-        classes = ((read[i], READ), (inside & ~read[i], UNREAD), (~inside, WASTED))
+        image = 0.35 + 0.65 * _grey(_sampled(depth[i], size), low, high)  # pale, so that the colours are seen
+        classes = ((~inside, WASTED), (inside & ~read[i], UNREAD), (read[i], READ))  # what is read is drawn last
         for mask, color in classes:
-            image = tinted(image, np.array(color), np.where(_sampled(mask, size), 0.62, 0.0))
+            image = tinted(image, np.array(color), np.where(_any_of(mask, size), 0.7, 0.0))
         shares.append([float(mask.mean()) for mask, _ in classes])
-        used, spare, lost = (100.0 * share for share in shares[-1])
+        lost, spare, used = (100.0 * share for share in shares[-1])
         title = f"{_layer_title(subject, i)}: {used:.0f} / {spare:.0f} / {lost:.0f} %"
         panels.append(Panel(_framed(image, i), title))
-    used, spare, lost = (100.0 * float(np.mean([share[k] for share in shares])) for k in range(3))
-    legend = Chips([(READ, f"read {used:.1f} %"), (UNREAD, f"in B, not read {spare:.1f} %"), (WASTED, f"outside B {lost:.1f} %")])
+    lost, spare, used = (100.0 * float(np.mean([share[k] for share in shares])) for k in range(3))
+    legend = Chips(
+        [
+            (READ, f"read by a pixel of the eye: {used:.1f} %"),
+            (UNREAD, f"in B, not read: {spare:.1f} %"),
+            (WASTED, f"outside B, wasted: {lost:.1f} %"),
+        ]
+    )
     notes = [
-        f"Of all texels {used:.1f} % are read by a pixel of the eye, {spare:.1f} % lie in B and are not read, {lost:.1f} % "
-        "lie outside B: wasted.",
-        "Read: the texel that a receiver falls into; filters read its neighbours too.",
+        "Above each map: the same three shares of its texels. Read is the texel that a receiver falls into; filters "
+        "read its neighbours too."
     ]
     return Sheet(panels, [legend], notes)
 
@@ -177,6 +181,15 @@ def _sampled(image: np.ndarray, size: int) -> np.ndarray:
     """Every so-many-th texel, (size, size)."""
     pick = ((np.arange(size) + 0.5) * image.shape[0] / size).astype(int)
     return image[pick][:, pick]
+
+
+def _any_of(mask: np.ndarray, size: int) -> np.ndarray:
+    """Whether any texel of a pixel is set, so that single ones stay visible, (size, size)."""
+    if mask.shape[0] <= size:
+        return _sampled(mask, size)
+    bounds = (np.arange(size) * mask.shape[0] / size).astype(int)
+    out: np.ndarray = np.logical_or.reduceat(np.logical_or.reduceat(mask, bounds, axis=0), bounds, axis=1)
+    return out
 
 
 def _grey(depth: np.ndarray, low: float, high: float) -> np.ndarray:

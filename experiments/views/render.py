@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import traceback
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
@@ -32,7 +33,7 @@ _DRAW: Mapping[str, Callable[[Subject], Sheet]] = {
     "split_colours_eye": lambda subject: surfaces.split_colours(subject, "eye"),
     "split_colours_third": lambda subject: surfaces.split_colours(subject, "third"),
     **{
-        f"sampling_frequency_{mode}_{place}": lambda subject, m=mode, p=place: surfaces.sampling_frequency(subject, p, m)
+        f"sampling_frequency_{mode}_{place}": functools.partial(surfaces.sampling_frequency, place=place, mode=mode)
         for mode in ("det", "x", "y")
         for place in ("eye", "third")
     },

@@ -74,7 +74,8 @@ def _width(text: str, points: float, bold: bool = False) -> float:
     if not text.strip():
         return 0.3 * points * len(text)
     font = FontProperties(family="DejaVu Sans", weight="bold" if bold else "normal")
-    return float(TextPath((0, 0), text, size=points * _DPI / 72.0, prop=font).get_extents().x1)
+    # drawn letters are hinted to whole pixels, which makes a line up to a few per cent longer than its outlines
+    return 1.03 * float(TextPath((0, 0), text, size=points * _DPI / 72.0, prop=font).get_extents().x1)
 
 
 def wrapped(text: str, width: float, points: float) -> list[str]:
@@ -165,8 +166,8 @@ class _Writer:
         """Coloured squares with names, in as many lines as they need."""
         x = float(MARGIN)
         for color, text in chips.items:
-            width = 18 + _width(text, _TEXT) + 16
-            if x > MARGIN and x + width > MARGIN + self.content + 16:
+            width = 18 + _width(text, _TEXT) + GAP
+            if x > MARGIN and x + width > MARGIN + self.content + GAP:
                 x, self.y = float(MARGIN), self.y + _LINE + 3
             square = np.broadcast_to(np.asarray(color, float), (12, 12, 3)).copy()
             square[[0, -1]] = square[:, [0, -1]] = 0.25

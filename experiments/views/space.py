@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from experiments.views.bodies import box_of, edges, fill, frustum_between
-from experiments.views.lines import draw_lines
+from experiments.views.lines import draw_lines, project, to_pixels
 from experiments.views.sheet import Chips, Panel, Sheet
 from experiments.views.subject import Shot, Subject
 from experiments.views.surfaces import FRUSTUM, base, layer_chips, split_color
@@ -42,12 +42,12 @@ def intersection_bodies(subject: Subject) -> Sheet:
     for i, body in reversed(bodies):  # the farthest split first: the near ones lie within its light rays
         fill(image, shot.view, body, split_color(i), shot.depth, 0.20)
     for i, body in bodies:
-        color = np.array(split_color(i))
+        pale = tuple(0.45 + 0.4 * value for value in split_color(i))
         box = edges(box_of(body))
-        draw_lines(image, shot.view, box, 0.45 + 0.4 * color, depth=shot.depth, width=1.0, hidden=0.35, halo=False)
+        draw_lines(image, shot.view, box, pale, depth=shot.depth, width=1.0, hidden=0.35, halo=False)
     for i, body in bodies:
-        color = 0.72 * np.array(split_color(i))
-        draw_lines(image, shot.view, edges(body), color, depth=shot.depth, width=1.8, hidden=0.55)
+        dark = tuple(0.72 * value for value in split_color(i))
+        draw_lines(image, shot.view, edges(body), dark, depth=shot.depth, width=1.8, hidden=0.55)
     for body in subject.frusta:
         draw_lines(image, shot.view, edges(body), FRUSTUM, depth=shot.depth, width=1.0, hidden=0.4)
     _draw_light(image, subject, shot)
@@ -71,7 +71,7 @@ def minimap(subject: Subject) -> Sheet:
     inset = _smaller(base(subject.shot("eye")), int(INSET * image.shape[1]), int(0.45 * image.shape[0]))
     rows, columns = inset.shape[:2]
     if rows + 8 <= image.shape[0] and columns + 8 <= image.shape[1]:
-        bottom, left = image.shape[0] - 5, 5
+        bottom, left = _free_corner(image, subject, shot, rows, columns)
         image[bottom - rows - 3 : bottom + 3, left - 3 : left + columns + 3] = 1.0
         image[bottom - rows - 1 : bottom + 1, left - 1 : left + columns + 1] = 0.0
         image[bottom - rows : bottom, left : left + columns] = inset
@@ -79,6 +79,19 @@ def minimap(subject: Subject) -> Sheet:
     legend = [Chips([(EYE, "the eye"), (VIEW_VECTOR, "view vector"), (LIGHT, "way to the light")])]
     place = ", ".join(f"{value:.4g}" for value in position)
     return Sheet([Panel(image)], legend, [f"The eye is at ({place}); the inset is what it sees."])
+
+
+def _free_corner(image: np.ndarray, subject: Subject, shot: Shot, rows: int, columns: int) -> tuple[int, int]:
+    """Bottom and left of an inset that does not hide the eye: lower left, or else the next corner."""
+    height, width = image.shape[:2]
+    h = project(shot.view, subject.eye.eye_ws[None])
+    x, y = to_pixels(shot.view, h)[0] if h[0, 3] > 0.0 else (-np.inf, -np.inf)
+    corners = [(height - 5, 5), (height - 5, width - 5 - columns), (rows + 5, width - 5 - columns), (rows + 5, 5)]
+    room = 0.08 * height
+    for bottom, left in corners:
+        if not (left - room < x < left + columns + room and bottom - rows - room < y < bottom + room):
+            return bottom, left
+    return corners[0]
 
 
 def _draw_view_vector(image: np.ndarray, subject: Subject, shot: Shot) -> None:

@@ -187,9 +187,7 @@ class Subject:
         assert image is not None
         reach = float(np.linalg.norm(corners - self.eye.eye_ws, axis=1).max()) + float(np.ptp(corners, axis=0).max())
         up = self.geometry.scene.camera(self.frame).up
-        chosen = free_camera(
-            settings.model_copy(update=moved), self.eye, up, points, reach, image.width / image.height
-        )
+        chosen = free_camera(settings.model_copy(update=moved), self.eye, up, points, reach, image.width / image.height)
         return replace(chosen, eye=chosen.eye + origin, target=chosen.target + origin)
 
     # ---- the light's maps
@@ -312,7 +310,8 @@ class Subject:
         row = np.clip(np.nan_to_num((0.5 - 0.5 * y) * height), 0, height - 1).astype(int)
         # the deepest of the neighbours, or surfaces seen at a slant would hide themselves between pixels
         padded = np.pad(np.where(np.isfinite(depth), depth, 0.0), 1)
-        reach = np.max([padded[1 + i : 1 + i + height, 1 + j : 1 + j + width] for i in (-1, 0, 1) for j in (-1, 0, 1)], 0)
+        shifts = [(i, j) for i in range(3) for j in range(3)]
+        reach = np.max([padded[i : i + height, j : j + width] for i, j in shifts], axis=0)
         return inside, inside & (h[..., 2] <= 1.003 * reach[row, column])
 
 

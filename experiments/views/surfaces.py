@@ -103,7 +103,9 @@ def split_colours(subject: Subject, place: str) -> Sheet:
     held = shot.layer >= 0
     shares = [f"{i}: {100.0 * float((shot.layer[held] == i).mean()):.1f} %" for i in range(len(subject.views))]
     note = f"Share of the receivers in the picture: {', '.join(shares)}." if held.any() else "No receiver reads a map."
-    return Sheet([Panel(image)], [layer_chips(subject)], [note, "Not coloured: what no map covers, or does not receive."])
+    return Sheet(
+        [Panel(image)], [layer_chips(subject)], [note, "Not coloured: what no map covers, or does not receive."]
+    )
 
 
 def sampling_frequency(subject: Subject, place: str, mode: str) -> Sheet:
@@ -152,17 +154,26 @@ def difference(subject: Subject, place: str) -> Sheet:
     image = error_view(shot.visibility, truth) / 255.0
     # the shading keeps surfaces apart: without it an error has no place in space
     image = np.where(np.isfinite(error)[..., None], image, base(shot) * 0.35 + np.array(NO_RECEIVER) / 255.0 * 0.65)
+    known = np.isfinite(error)
+    where = "of this picture"
     if place == "third":
-        shape = base(shot).mean(axis=-1, keepdims=True)
-        image = np.clip(image + 0.28 * shape * np.isfinite(error)[..., None], 0.0, 1.0)
+        shape = base(shot)
+        image = np.where(known[..., None], np.clip(image + 0.28 * shape.mean(axis=-1, keepdims=True), 0.0, 1.0), image)
+        inside, _ = subject.in_eye_view(shot.position)
+        # elsewhere nobody asked for a shadow: the error is shown, but faintly
+        image = np.where((known & ~inside)[..., None], 0.3 * image + 0.5 * shape, image)
+        known &= inside
+        where = "in the eye's frustum"
         draw_frustum(image, subject, shot)
-    values = error[np.isfinite(error)].astype(float)
+    values = error[known].astype(float)
     notes = [f"Against {subject.truth_in_words}. Slate: no receiver."]
+    if place == "third":
+        notes[0] += " Faint and grey: outside the frustum, where no map has to hold anything."
     if len(values):
         wrong = 100.0 * float((np.abs(values) > 0.5).mean())
         rmse, mean = float(np.sqrt(np.mean(values**2))), float(values.mean())
         notes.append(
-            f"Receivers of this picture: RMSE {_number(rmse)}, mean {_number(mean)}, {wrong:.2f} % wrong by over a half."
+            f"Receivers {where}: RMSE {_number(rmse)}, mean {_number(mean)}, {wrong:.2f} % wrong by over a half."
         )
     ticks = [-1.0, -0.5, -0.1, 0.0, 0.1, 0.5, 1.0]
     places = [(0.5 + 0.5 * np.sign(tick) * np.sqrt(abs(tick)), f"{tick:+g}" if tick else "0") for tick in ticks]

@@ -40,7 +40,7 @@ def jacobians(subject: Subject, shot: Shot, screen: HostView, where: np.ndarray)
         where: Pixels to look at (H, W); the others are NaN.
     """
     out = np.full((*shot.depth.shape, 2, 2), np.nan)
-    sight = shot.position - screen.eye_ws if screen.perspective else np.broadcast_to(screen.forward_ws, shot.normal.shape)
+    sight = shot.position - screen.eye_ws
     sine = np.abs(np.einsum("...i,...i", shot.normal, sight)) / np.maximum(np.linalg.norm(sight, axis=-1), 1e-30)
     for i, view in enumerate(subject.views):
         mine = where & (shot.layer == i) & (sine > EDGE_ON)
@@ -59,7 +59,8 @@ def sampling_rate(jacobian: np.ndarray, mode: str) -> np.ndarray:
         mode: ``det``, ``x`` or ``y``.
     """
     if mode == "det":
-        out: np.ndarray = np.sqrt(np.abs(np.linalg.det(jacobian)))
+        det = jacobian[..., 0, 0] * jacobian[..., 1, 1] - jacobian[..., 0, 1] * jacobian[..., 1, 0]
+        out: np.ndarray = np.sqrt(np.abs(det))
         return out
     return np.linalg.norm(jacobian[..., "xy".index(mode), :], axis=-1)
 
