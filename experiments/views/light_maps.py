@@ -47,7 +47,8 @@ def light_views(subject: Subject) -> Sheet:
         draw_lines(image, small, ray, VIEW_VECTOR, depth=depth, width=2.0, hidden=0.8)
         panels.append(Panel(_framed(image, i), _layer_title(subject, i)))
     legend = [Chips([(FRUSTUM, "the layer's part of the view frustum"), (VIEW_VECTOR, "view vector")])]
-    return Sheet(panels, legend, ["Every panel is the whole of a map; the view direction runs up. Dashed: hidden."])
+    up = "; the view direction runs up" if subject.follows_eye else ""
+    return Sheet(panels, legend, [f"Every panel is the whole of a map{up}. Dashed: hidden."])
 
 
 def depth_map(subject: Subject) -> Sheet:

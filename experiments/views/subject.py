@@ -24,7 +24,7 @@ from wkernels.geometry import CASTS, Bounds
 from wkernels.light_layers import chosen_layers
 from wkernels.raster import CULL_NONE, Rasteriser
 from wkernels.scene import Camera
-from wkernels.views import HostView, LayerChoice
+from wkernels.views import HostView, LayerChoice, ProjectiveView
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,16 +241,15 @@ class Subject:
     @property
     def follows_eye(self) -> bool:
         """Whether the maps cover what the eye sees, not the whole scene."""
-        fit = getattr(self.session.projection, "fit", None)
-        return bool(getattr(fit, "follows_eye", False)) and not self.whole.is_empty
+        return bool(self.views) and all(isinstance(view, ProjectiveView) for view in self.views)
 
     @cached_property
     def depths(self) -> tuple[float, float]:
-        """Eye depths between which the maps cover the view; the eye's own where they cover the scene."""
-        if not self.follows_eye or self.settings.get("adjust", True) is False:
+        """Eye depths of what the eye sees of the receivers' box, which is what maps that follow the eye cover."""
+        if self.whole.is_empty or self.settings.get("adjust", True) is False:
             return self.eye.near, self.eye.far
         near, far = depth_range(self.whole.vertices, self.eye)
-        if str(self.settings.get("near", "user")).startswith("auto"):
+        if self.follows_eye and str(self.settings.get("near", "user")).startswith("auto"):
             seen = self.shot("eye").depth
             near = max(near, float(seen.min())) if np.isfinite(seen).any() else near
         return (near, far) if near < far else (self.eye.near, self.eye.far)
@@ -273,8 +272,10 @@ class Subject:
 
     @cached_property
     def parts(self) -> list[ConvexBody]:
-        """H of each layer: what it has to cover."""
-        whole = self.whole if self.follows_eye else box_polyhedron(self.receivers.low, self.receivers.high)
+        """H of each layer: what it has to cover for the eye, whether or not it covers more."""
+        whole = self.whole
+        if whole.is_empty:
+            whole = box_polyhedron(self.receivers.low, self.receivers.high)
         row = np.append(self.eye.forward_ws, -float(self.eye.forward_ws @ self.eye.eye_ws))
         bodies = []
         for view, (near, far) in zip(self.views, self.ranges, strict=True):

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from wkernels.views import HostView
+from wkernels.views import HostView, ProjectiveView
 
+_FITS = {"focused": "focused on what the eye sees", "scene": "fitted to the whole scene"}
 _WARPS = {
     "none": "uniform",
     "psm": "PSM warp",
@@ -28,7 +29,10 @@ def projection_in_words(settings: Mapping[str, Any], views: list[HostView], ligh
     from algorithms.composition import DEFAULTS
 
     chosen = {**DEFAULTS, **settings}
-    parts = ["focused on what the eye sees" if chosen["fit"] == "focused" else f"fit {chosen['fit']}"]
+    if views and chosen["fit"] != "scene" and not any(isinstance(view, ProjectiveView) for view in views):
+        # the light is amid what is seen, or nothing is: then no plane map holds it (``algorithms.composition``)
+        chosen = dict(DEFAULTS)
+    parts = [_FITS.get(str(chosen["fit"]), f"fit {chosen['fit']}")]
     parts.append(_WARPS.get(str(chosen["warp"]), str(chosen["warp"])))
     if chosen["splits"] > 1:
         scheme = str(chosen["scheme"])
