@@ -144,7 +144,8 @@ def test_the_jacobian_is_the_difference_of_map_positions_between_pixels(box: Sub
     shot = box.shot(place)
     position = map_positions(box, shot)
     jacobian = jacobians(box, shot, shot.view, shot.layer >= 0)
-    flat = (shot.normal[..., 1] > 0.999) & (np.abs(shot.position[..., 1] - shot.position[-1, 0, 1]) < 1e-3)
+    floor = shot.position[shot.flags > 0][:, 1].min()
+    flat = (shot.normal[..., 1] > 0.999) & (np.abs(shot.position[..., 1] - floor) < 1e-3) & (shot.flags > 0)
     for axis in (0, 1):
         inner = np.zeros_like(flat)
         near = [np.roll(shot.layer, shift, axis) for shift in (1, -1)]
@@ -162,13 +163,13 @@ def test_the_jacobian_is_the_difference_of_map_positions_between_pixels(box: Sub
         assert np.median(error) < 0.01 and np.percentile(error, 90) < 0.1  # a difference has an error of second order
 
 
-def test_texel_borders_are_dark_where_neighbours_read_different_cells(box: Subject, files: Path) -> None:
-    subject = make(files, "box", "views.texels=4")
+def test_texel_borders_are_dark_where_neighbours_read_different_cells(files: Path) -> None:
+    subject = make(files, "box", "views.texels=32")
     shot = subject.shot("eye")
     image, plain = picture(surfaces.texel_borders(subject, "eye")), surfaces.base(shot)
-    cell = np.floor(map_positions(subject, shot) / 4)
+    cell = np.floor(map_positions(subject, shot) / 32)
     jacobian = jacobians(subject, shot, shot.view, shot.layer >= 0)
-    wide = 4.0 / np.linalg.norm(jacobian, axis=-1).max(axis=-1) > 8.0  # pixels per cell: no fading
+    wide = 32.0 / np.linalg.norm(jacobian, axis=-1).max(axis=-1) > 8.0  # pixels per cell: no fading
     with np.errstate(invalid="ignore"):
         differs = (cell[:, 1:] != cell[:, :-1]).any(axis=-1)
     pairs = wide[:, 1:] & wide[:, :-1] & (shot.layer[:, 1:] == shot.layer[:, :-1])
@@ -216,11 +217,12 @@ def test_the_difference_is_that_to_the_reference_or_to_rays(box: Subject, files:
 # ---- in space ----
 
 
-def test_frustum_corners_are_where_the_free_camera_projects_them(box: Subject) -> None:
-    shot = box.shot("third")
-    image = picture(space.frusta(box))
-    frustum = box.frusta[0]
-    corners = edges(frustum)[:, 0]
+def test_frustum_corners_are_where_the_free_camera_projects_them(files: Path) -> None:
+    subject = make(files, "box", "projection.splits=1")  # or the next split's wires would lie over the first one's
+    shot = subject.shot("third")
+    image = picture(space.frusta(subject))
+    (frustum,) = subject.frusta
+    corners = np.unique(edges(frustum).reshape(-1, 3), axis=0)
     pixels = to_pixels(shot.view, project(shot.view, corners)).astype(int)
     inside = ((pixels >= 1) & (pixels < [89, 59])).all(axis=1)
     red = (image[..., 0] > image[..., 1] + 0.15) & (image[..., 0] > image[..., 2] + 0.15)
@@ -251,7 +253,7 @@ def test_the_minimap_holds_the_eyes_picture_and_its_place(box: Subject) -> None:
     )
     x, y = to_pixels(shot.view, project(shot.view, box.eye.eye_ws[None]))[0].astype(int)
     patch = image[y - 1 : y + 2, x - 1 : x + 2].reshape(-1, 3)
-    assert np.abs(patch - np.array(space.EYE)).max(axis=1).min() < 0.2
+    assert (patch[:, 0] - patch[:, 2]).max() > 0.4  # orange, but for the lines that meet there
 
 
 # ---- the maps ----
@@ -307,13 +309,14 @@ def test_measured_errors_are_the_closed_form_where_it_holds(files: Path, warp: s
     assert "closed form" in sheet.notes[-1] and np.unique(picture(sheet).reshape(-1, 3), axis=0).shape[0] > 10
 
 
-def test_both_sides_of_a_border_are_measured(box: Subject) -> None:
-    found = error_plot.curves(box)
+def test_both_sides_of_a_border_are_measured(files: Path) -> None:
+    subject = make(files, "box", "projection.warp=none")
+    found = error_plot.curves(subject)
     for i, border in enumerate(found.borders[1:-1], start=1):
         before, behind = i * error_plot.STEPS - 1, i * error_plot.STEPS
         assert found.z[before] < border < found.z[behind]
         assert abs(found.m_z[before] / found.m_z[behind] - 1.0) > 0.05
-    assert error_plot.closed_form(box, found.borders) == "the light is not in the plane of view and up vector"
+    assert error_plot.closed_form(subject, found.borders) == "the light is not in the plane of view and up vector"
 
 
 # ---- every projection ----
