@@ -80,19 +80,6 @@ class FrameRange(StrictModel):
 
 Coordinate = Annotated[float, Field(ge=-1e12, le=1e12)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
-ViewName = Literal[
-    "texel_borders",
-    "split_colours",
-    "sampling_frequency",
-    "difference",
-    "intersection_bodies",
-    "frusta",
-    "minimap",
-    "light_views",
-    "depth_map",
-    "shadow_area_waste",
-    "perspective_error",
-]
 
 
 RateMode = Literal["det", "x", "y"]
@@ -140,7 +127,7 @@ class Views(StrictModel):
 
     Attributes:
         frames: Rendered frames to picture; the first one unless given.
-        kinds: Which pictures.
+        kinds: Which pictures, names of ``experiments.views.kinds``; ``all`` by default.
         labels: Of which techniques; all that read a light map unless given.
         third_person: Where the free camera stands.
         image: Size of the free camera's pictures, the frame's unless given; the eye's pictures are the frame itself.
@@ -149,7 +136,7 @@ class Views(StrictModel):
     """
 
     frames: Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=1)] | FrameRange | None = None
-    kinds: Literal["all"] | Annotated[list[ViewName], Field(min_length=1)] = "all"
+    kinds: str | Annotated[list[str], Field(min_length=1)] = "all"
     labels: Annotated[list[str], Field(min_length=1)] | None = None
     third_person: ThirdPerson = Field(default_factory=lambda: ThirdPerson.model_validate({}))
     image: Image | None = None

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import get_args
 
-from experiments.config.models import FrameRange, ViewName, Views, WalkthroughFile
+from experiments.config.models import FrameRange, Views, WalkthroughFile
 from experiments.config.source import Source
+from experiments.views.kinds import KINDS
 from wkernels.errors import nearest
-
-VIEW_NAMES: tuple[str, ...] = get_args(ViewName)
 
 
 def resolve_views(source: Source, file: WalkthroughFile, frames: Sequence[int], labels: Sequence[str]) -> Views | None:
@@ -22,7 +20,7 @@ def resolve_views(source: Source, file: WalkthroughFile, frames: Sequence[int], 
         labels: The labels that will be rendered.
 
     Raises:
-        InputError: A frame that is not rendered, a label that does not exist, or anything that is listed twice.
+        InputError: A frame that is not rendered, a kind or label that does not exist, or anything that is listed twice.
     """
     views = file.views
     if views is None:
@@ -42,7 +40,13 @@ def resolve_views(source: Source, file: WalkthroughFile, frames: Sequence[int], 
         if label not in labels:
             message = f"no technique has the label '{label}'." + nearest(label, labels)
             raise source.error(message, ("views", "labels", i))
-    kinds = list(VIEW_NAMES) if views.kinds == "all" else list(views.kinds)
+    kinds = [views.kinds] if isinstance(views.kinds, str) else list(views.kinds)
+    for i, kind in enumerate(kinds):
+        if kind not in KINDS and views.kinds != "all":
+            place = ("views", "kinds") if isinstance(views.kinds, str) else ("views", "kinds", i)
+            raise source.error(f"there is no view '{kind}'." + nearest(kind, KINDS), place)
+    if views.kinds == "all":
+        kinds = list(KINDS)
     for key, values in (("frames", chosen), ("kinds", kinds), ("labels", views.labels or []), ("modes", views.modes)):
         for i, value in enumerate(values):
             if value in values[:i]:
