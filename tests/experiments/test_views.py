@@ -1,92 +1,26 @@
-"""Every view of a small scene: the right thing at chosen pixels, the files, and what is left out."""
+"""Every view of a small scene: the right thing at chosen pixels."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial import Delaunay
+from view_subjects import make, write_configs
 
-from experiments.config.schema import load_experiment
-from experiments.engine import WarpEngine
-from experiments.explain import explain
-from experiments.images import ERROR_SCALE, error_view, read_exr, read_png
-from experiments.runner import run
-from experiments.store import Store
+from experiments.images import ERROR_SCALE, error_view
 from experiments.views import error_plot, light_maps, render, space, surfaces
 from experiments.views.bodies import edges
-from experiments.views.kinds import KINDS, kind_of, picture_names
 from experiments.views.lines import project, to_pixels
 from experiments.views.subject import Subject
 from experiments.views.texels import jacobians, map_positions, sampling_rate
 
-HEAD = """
-kind: walkthrough
-image: {width: 60, height: 40}
-projection: {fit: focused, splits: 3, warp: lispsm_nopt}
-techniques:
-  - shadow_map: {resolution: 128}
-frames: 1
-views: {image: {width: 90, height: 60}}
-"""
-BOX = """
-scene:
-  meshes:
-    - {primitive: plane, size: [16, 16]}
-    - {primitive: box, size: [1, 1.4, 1], transform: {translate: [0, 0.8, 0]}}
-  lights: [{kind: directional, direction: [0.3, -1, -0.4], angle_deg: 2}]
-  camera: {eye: [0, 2.5, 6], target: [0, 0.5, 0], up: [0, 1, 0], fov_deg: 50, near: 0.1, far: 60}
-"""
-# seen straight from above, a pixel of the floor is 0.125 wide; a map of 66 with a texel of margin has 64 texels for its 8
-ABOVE = """
-scene:
-  meshes: [{primitive: plane, size: [8, 8]}]
-  lights: [{kind: directional, direction: [0, -1, 0]}]
-  camera: {eye: [0, 4, 0], target: [0, 0, 0], up: [0, 0, -1], fov_deg: 53.13010235415598, near: 0.1, far: 60}
-"""
-# what receives is larger than the frustum on all sides, so that the maps cover exactly the frustum
-WIDE = """
-scene:
-  meshes:
-    - {primitive: plane, size: [90, 90], transform: {translate: [0, -40, 0]}}
-    - {primitive: box, size: [1, 1, 1], transform: {translate: [0, 40, 0]}}
-  lights: [{kind: directional, direction: [0, -1, 0]}]
-  camera: {eye: [0, 0, 0], target: [0, 0, -1], up: [0, 1, 0], fov_deg: 60, near: 1, far: 40}
-"""
-
-
-@pytest.fixture(scope="module", autouse=True)
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("WKERNELS_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
-
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("config")
-    for name, scene in {"box": BOX, "above": ABOVE, "wide": WIDE}.items():
-        (folder / f"{name}.yaml").write_text(HEAD + scene)
-    return folder
-
-
-def make(files: Path, name: str, *changes: str, reference: np.ndarray | None = None) -> Subject:
-    experiment = load_experiment(files / f"{name}.yaml", changes)
-    engine = WarpEngine(experiment)
-    session, technique = engine.open(experiment.runs[0])
-    session.begin(0)
-    return Subject(
-        experiment,
-        engine,
-        experiment.runs[0],
-        session,
-        session.render(technique),
-        0,
-        reference,  # type: ignore[arg-type]
-    )
+    return write_configs(tmp_path_factory.mktemp("config"))
 
 
 @pytest.fixture(scope="module")
@@ -337,70 +271,3 @@ def test_every_kind_works_for_every_projection(files: Path, light: str, projecti
         sheet = draw(subject)
         assert all(np.isfinite(panel.image).all() for panel in sheet.panels), name
     assert len(subject.parts) == len(subject.ranges) == len(subject.views)
-
-
-# ---- files ----
-
-
-@pytest.fixture(scope="module")
-def whole(files: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    text = (HEAD + BOX).replace("frames: 1", "  - ray_cast_point_shadow\nframes: 1")
-    (files / "all.yaml").write_text(text)
-    return run(load_experiment(files / "all.yaml"), tmp_path_factory.mktemp("out") / "all", threads=2)
-
-
-def test_all_pictures_are_there_and_the_report_shows_them(whole: Path) -> None:
-    store = Store(whole)
-    names = {name for kind in KINDS for name in picture_names(kind, ["det"])}
-    assert {name for name, frame in store.pictures("shadow_map")} == names and len(names) == 16
-    assert not store.pictures("ray_cast_point_shadow")
-    rows = [row for row in store.rows("left_out") if row["what"].startswith("views ")]
-    assert [row["label"] for row in rows] == ["ray_cast_point_shadow"] and "reads no light map" in rows[0]["reason"]
-    page = (whole / "report.html").read_text()
-    assert page.count("<figcaption>") >= 16 and "shadow_map, light views, frame 0" in page
-    for name in names:
-        assert read_png(store.picture("shadow_map", name, 0)).shape[1] >= 560
-
-
-def test_views_change_nothing_that_is_measured_and_are_the_same_every_time(
-    files: Path, whole: Path, tmp_path: Path
-) -> None:
-    kinds = "views.kinds=[sampling_frequency, intersection_bodies, perspective_error]"
-    again = run(load_experiment(files / "all.yaml", [kinds]), tmp_path / "again", threads=1, report=False)
-    for name, frame in Store(again).pictures("shadow_map"):
-        pair = [Store(out).picture("shadow_map", name, frame).read_bytes() for out in (whole, again)]
-        assert pair[0] == pair[1], name
-    plain = load_experiment(files / "all.yaml", ["views="])
-    assert plain.views is None
-    without = run(plain, tmp_path / "without", threads=2, report=False)
-    assert not (without / "images" / "shadow_map" / "views").exists()
-    images = [read_exr(Store(out).raw("shadow_map", "visibility", 0)) for out in (whole, without)]
-    np.testing.assert_array_equal(*images)
-    rows = [
-        [row for row in Store(out).rows("left_out") if not row["what"].startswith("views ")] for out in (whole, without)
-    ]
-    assert rows[0] == rows[1]
-
-
-def test_a_picture_that_fails_is_recorded_and_costs_nothing_else(
-    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def broken(subject: Subject) -> Any:
-        raise ValueError("deliberate")
-
-    monkeypatch.setattr(render, "_DRAW", {**render._DRAW, "depth_map": broken})
-    experiment = load_experiment(files / "box.yaml", ["views.kinds=[depth_map, minimap]"])
-    store = Store(run(experiment, tmp_path / "out", report=False))
-    assert [name for name, _ in store.pictures("shadow_map")] == ["minimap_third"]
-    (row,) = (row for row in store.rows("left_out") if row["what"] == "view depth_map")
-    assert "ValueError: deliberate" in row["reason"] and len(store.rows("frames")) == 1
-    assert "deliberate" in next((store.out / "failures").glob("*depth_map*")).read_text()
-
-
-def test_kinds_are_named_once(files: Path) -> None:
-    modes = ["det", "x", "y"]
-    assert set(render._DRAW) == {name for kind in KINDS for name in picture_names(kind, modes)}
-    assert all(kind_of(name) == kind for kind in KINDS for name in picture_names(kind, modes))
-    assert kind_of("nonsense") is None
-    text = explain(load_experiment(files / "box.yaml", ["views.kinds=[frusta]"]))
-    assert "1 picture each" in text and "frusta_third" in text and "90 x 60" in text
