@@ -90,6 +90,15 @@ def test_a_picture_that_fails_is_recorded_and_costs_nothing_else(
     assert "deliberate" in next((store.out / "failures").glob("*depth_map*")).read_text()
 
 
+def test_a_label_without_a_map_has_pictures_where_it_is_asked_for(files: Path, tmp_path: Path) -> None:
+    changes = ["techniques=[ray_cast_point_shadow]", "views.labels=[ray_cast_point_shadow]"]
+    store = Store(run(load_experiment(files / "box.yaml", changes), tmp_path / "out", report=False))
+    mapless = {name for kind in KINDS if not KINDS[kind].needs_map for name in picture_names(kind, [])}
+    assert {name for name, _ in store.pictures("ray_cast_point_shadow")} == mapless and len(mapless) == 4
+    (row,) = (row for row in store.rows("left_out") if row["what"].startswith("views "))
+    assert int(row["count"]) == len(KINDS) - 3
+
+
 def test_kinds_are_named_once(files: Path) -> None:
     modes = ["det", "x", "y"]
     assert set(render._DRAW) == {name for kind in KINDS for name in picture_names(kind, modes)}
