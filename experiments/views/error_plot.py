@@ -106,6 +106,8 @@ def perspective_error(subject: Subject) -> Sheet:
         for name, m in (("m_x", found.m_x), ("m_z", found.m_z))
     ]
     notes = [" ".join(notes)]
+    if not known.all():
+        notes[0] += " No curve: the view vector leaves what the maps cover."
     if isinstance(closed, str):
         notes.append(f"No closed form: {closed}.")
     else:
@@ -128,15 +130,15 @@ def _draw(
     if closed is not None:
         for m, color in ((closed[1], ORANGE), (closed[2], BLUE)):
             split = np.arange(STEPS, len(closed[0]), STEPS)
-            axes.plot(
-                np.insert(closed[0], split, np.nan), np.insert(m, split, np.nan), color=color, lw=1.0, ls=(0, (4, 3))
-            )
+            z, values = np.insert(closed[0], split, np.nan), np.insert(m, split, np.nan)
+            name = "closed form" if color == ORANGE else None
+            axes.plot(z, values, color=color, lw=1.0, ls=(0, (4, 3)), label=name)
     axes.axhline(1.0, color=INK, lw=0.8, alpha=0.6)
     for i, border in enumerate(found.borders):
         sides = [k for k in (i * STEPS - 1, i * STEPS) if 0 <= k < len(found.z)]
         marks.append((float(border), [found.m_x[k] for k in sides], [found.m_z[k] for k in sides]))
         axes.axvline(border, color=INK, lw=0.8, alpha=0.35)
-    _set_scales(axes, found)
+    _set_scales(axes, found, closed)
     _write_borders(axes, marks)
     near, far = float(found.borders[0]), float(found.borders[-1])
     shares = [float(subject.settings.get(key, 0.0) or 0.0) for key in ("pseudo_near", "pseudo_far")]
@@ -149,7 +151,7 @@ def _draw(
     axes.legend(loc="upper right", fontsize=8.5, frameon=True, framealpha=0.9, edgecolor="none")
 
 
-def _set_scales(axes: Axes, found: Curves) -> None:
+def _set_scales(axes: Axes, found: Curves, closed: tuple[np.ndarray, np.ndarray, np.ndarray] | None) -> None:
     """Depth linear or logarithmic, whichever keeps the borders farther apart; errors logarithmic."""
     near, far = float(found.borders[0]), float(found.borders[-1])
     even, log = (found.borders - near) / (far - near), np.log(found.borders / near) / np.log(far / near)
@@ -162,7 +164,7 @@ def _set_scales(axes: Axes, found: Curves) -> None:
         axes.set_xlim(near * (far / near) ** -0.02, far * (far / near) ** 0.02)
     else:
         axes.set_xlim(near - 0.02 * (far - near), far + 0.02 * (far - near))
-    values = np.concatenate([found.m_x, found.m_z, [1.0]])
+    values = np.concatenate([found.m_x, found.m_z, [1.0], *(closed or ())[1:]])
     values = values[np.isfinite(values) & (values > 0.0)]
     log_axis(axes, "y", [values])
 

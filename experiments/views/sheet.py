@@ -146,7 +146,8 @@ class _Writer:
 
     def bar(self, bar: Bar) -> None:
         """A colour scale with its ticks below and its name above."""
-        self.text(bar.label, _TEXT)
+        for line in wrapped(bar.label, self.content, _TEXT):
+            self.text(line, _TEXT)
         width = min(self.content, 640)
         colors = bar.colors((np.arange(width) + 0.5) / width)
         self._images.append((MARGIN, self.y, to_bytes(np.repeat(colors[None], 14, axis=0))))

@@ -123,13 +123,14 @@ def sampling_frequency(subject: Subject, place: str, mode: str) -> Sheet:
     if place == "third":
         draw_frustum(image, subject, shot)
     values = rate[read & seen]
+    whose = "Seen by the eye" if place == "eye" else "Pixels of this picture that the eye sees too"
     notes = ["Not coloured: nothing reads the map there (no receiver, or it is turned away from the light)."]
     if len(values):
         low, middle, high = np.percentile(values, [5, 50, 95])
         under = 100.0 * float((values < 0.5).mean())
         notes.insert(
             0,
-            f"Seen by the eye: median {_number(middle)}, 5 to 95 % of the pixels {_number(low)} to {_number(high)}; "
+            f"{whose}: median {_number(middle)}, 5 to 95 % of the pixels {_number(low)} to {_number(high)}; "
             f"{under:.0f} % have less than half a texel per pixel.",
         )
     if place == "third":

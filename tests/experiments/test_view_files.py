@@ -112,6 +112,6 @@ def test_kinds_are_named_once(files: Path) -> None:
 def test_the_configs_of_chapter_5_load(config: Path) -> None:
     # on the small scene: the large one is tested where scenes are
     scene = (CONFIGS / "scenes" / "test_plane.yaml").as_posix()
-    experiment = load_experiment(config, [f"scene={scene}", "frames=1"])
+    experiment = load_experiment(config, [f"scene={scene}", "frames=1", "views.frames="])
     assert experiment.views is not None and experiment.views.frames == [0]
     assert "Views" in explain(experiment)
