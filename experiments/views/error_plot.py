@@ -131,8 +131,8 @@ def _draw(
         for m, color in ((closed[1], ORANGE), (closed[2], BLUE)):
             split = np.arange(STEPS, len(closed[0]), STEPS)
             z, values = np.insert(closed[0], split, np.nan), np.insert(m, split, np.nan)
-            name = "closed form" if color == ORANGE else None
-            axes.plot(z, values, color=color, lw=1.0, ls=(0, (4, 3)), label=name)
+            told = "closed form" if color == ORANGE else None
+            axes.plot(z, values, color=color, lw=1.0, ls=(0, (4, 3)), label=told)
     axes.axhline(1.0, color=INK, lw=0.8, alpha=0.6)
     for i, border in enumerate(found.borders):
         sides = [k for k in (i * STEPS - 1, i * STEPS) if 0 <= k < len(found.z)]
