@@ -7,10 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
-from matplotlib.textpath import TextPath
 
 from experiments.report.style import INK, styled
 
@@ -73,9 +72,14 @@ def _width(text: str, points: float, bold: bool = False) -> float:
     """Pixels that a text is wide."""
     if not text.strip():
         return 0.3 * points * len(text)
-    font = FontProperties(family="DejaVu Sans", weight="bold" if bold else "normal")
-    # drawn letters are hinted to whole pixels, which makes a line up to a few per cent longer than its outlines
-    return 1.03 * float(TextPath((0, 0), text, size=points * _DPI / 72.0, prop=font).get_extents().x1)
+    font = FontProperties(family="DejaVu Sans", weight="bold" if bold else "normal", size=points)
+    return float(_renderer().get_text_width_height_descent(text, font, ismath=False)[0])
+
+
+@functools.cache
+def _renderer() -> RendererAgg:
+    """Measures texts as they will be drawn."""
+    return FigureCanvasAgg(Figure(figsize=(1.0, 1.0), dpi=_DPI)).get_renderer()
 
 
 def wrapped(text: str, width: float, points: float) -> list[str]:
@@ -186,7 +190,15 @@ class _Writer:
             for x, y, text, points, bold, align in self._texts:
                 weight = "bold" if bold else "normal"
                 figure.text(
-                    x / width, 1.0 - y / height, text, size=points, weight=weight, ha=align, va="center", color=INK
+                    x / width,
+                    1.0 - y / height,
+                    text,
+                    size=points,
+                    weight=weight,
+                    ha=align,
+                    va="center",
+                    color=INK,
+                    parse_math=False,
                 )
             canvas.draw()
             out: np.ndarray = np.asarray(canvas.buffer_rgba())[:, :, :3].copy()

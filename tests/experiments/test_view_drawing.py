@@ -195,7 +195,7 @@ def test_a_panel_is_copied_pixel_for_pixel_and_every_text_has_room() -> None:
     image = rng.random((40, 70, 3))
     bar = Bar("scale", lambda place: np.repeat(place[:, None], 3, axis=1), [(0.0, "0"), (1.0, "1")])
     sheet = Sheet([Panel(image, "one"), Panel(image, "two")], [bar, Chips([((1, 0, 0), "red")])], ["A note. " * 40])
-    out = composed(sheet, "A title", "words " * 60)
+    out = composed(sheet, "A $title with \\frac$ in it", "words " * 60)
     expected = np.rint(255.0 * image).astype(np.uint8)
     found = [
         (y, x)
@@ -205,7 +205,7 @@ def test_a_panel_is_copied_pixel_for_pixel_and_every_text_has_room() -> None:
     ]
     assert len(found) == 2 and found[0][0] == found[1][0]
     assert (out[:, -4:] == 255).all() and (out[-3:] == 255).all()  # nothing runs over the rim
-    np.testing.assert_array_equal(out, composed(sheet, "A title", "words " * 60))
+    np.testing.assert_array_equal(out, composed(sheet, "A $title with \\frac$ in it", "words " * 60))
 
 
 def test_text_is_wrapped_to_its_width() -> None:
