@@ -39,6 +39,7 @@ def explain(experiment: Experiment, plugins: Mapping[str, type] | None = None) -
         ("Scene", scene_lines(experiment, scene)),
         ("What will run", run_lines(experiment, plugins)),
         ("Amount of work", _work_lines(experiment, plugins)),
+        *([("Views", _view_lines(experiment))] if experiment.views else []),
         ("Left out", _left_out_lines(experiment, scene, plugins)),
     ]
     parts = [f"Experiment {experiment.name} (walkthrough)"]
@@ -108,6 +109,23 @@ def _work_lines(experiment: Experiment, plugins: Mapping[str, type]) -> list[str
     asked = set(experiment.metrics) | {metric.name for metric in METRICS.values() if metric.always}
     lines.append(f"metrics: {', '.join(name for name in METRICS if name in asked)}, m_x_max, m_z_max")
     return lines
+
+
+def _view_lines(experiment: Experiment) -> list[str]:
+    from experiments.views.kinds import KINDS, picture_names
+
+    views = experiment.views
+    assert views is not None and views.frames is not None and views.image is not None
+    names = [name for kind in KINDS if kind in views.kinds for name in picture_names(kind, list(views.modes))]
+    frames = list(views.frames) if isinstance(views.frames, list) else list(views.frames.indices())
+    whose = ", ".join(views.labels) if views.labels else "every label that reads a light map"
+    size = views.image
+    return [
+        f"of {whose}, on frame{_s(len(frames))} {_ranges(frames)}; "
+        f"third-person pictures of {size.width} x {size.height}",
+        f"{len(names)} picture{_s(len(names))} each, to images/LABEL/views: {', '.join(names)}",
+        "what has no meaning for a label is named in left_out.csv; none of this is timed",
+    ]
 
 
 def _left_out_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, type]) -> list[str]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -215,10 +215,11 @@ class _Walkthrough:
         key = {"technique": lane.run.name, "label": lane.label, "frame": frame}
         if reference is not None or frame == self.experiment.frames[-1]:
             self._store_images(lane.label, frame, result, reference)
+        skipped = self._store_views(lane, frame, result, reference)
         self.store.append("passes", [{**key, "pass": name, "ms": ms} for name, ms in pass_medians(lane.timings)])
         left_out = [
             {"label": lane.label, "frame": frame, "what": what, "reason": reason, "count": count}
-            for what, reason, count in result.left_out
+            for what, reason, count in [*result.left_out, *skipped]
         ]
         self.store.append("left_out", left_out)
         measured = metrics.Measured(
@@ -272,6 +273,20 @@ class _Walkthrough:
             self.store.raw(None, "standard_error", frame), standard_error, f"reference standard error, frame {frame}"
         )
         write_png(self.store.view(None, "visibility", frame), visibility_view(visibility))
+
+    def _store_views(
+        self, lane: Lane, frame: int, result: FrameLike, reference: tuple[np.ndarray, np.ndarray] | None
+    ) -> list[tuple[str, str, int]]:
+        views = self.experiment.views
+        if views is None or frame not in (views.frames or ()):
+            return []
+        from experiments.views.render import make_views  # brings matplotlib, which few runs need before their end
+
+        self.tell(self.done, self.total, f"frame {frame}, views of {lane.label}")
+        engine: Any = self.engine
+        session: Any = lane.session
+        truth = reference[0] if reference else None
+        return make_views(self.experiment, engine, lane.run, session, result, frame, truth, self.store)
 
     def _store_images(
         self, label: str, frame: int, result: FrameLike, reference: tuple[np.ndarray, np.ndarray] | None

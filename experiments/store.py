@@ -253,6 +253,16 @@ class Store:
         """Path of a picture for people (PNG) of a label, or of the reference (None)."""
         return self.out / "images" / image_folder(label) / f"{kind}_{frame:04d}.png"
 
+    def picture(self, label: str, name: str, frame: int) -> Path:
+        """Path of one of the pictures that the key ``views`` asks for (PNG)."""
+        return self.out / "images" / image_folder(label) / "views" / f"{name}_{frame:04d}.png"
+
+    def pictures(self, label: str) -> list[tuple[str, int]]:
+        """Name and frame of all such pictures of a label, by name, frames ascending."""
+        found = (self.out / "images" / image_folder(label) / "views").glob("*_[0-9]*.png")
+        parts = (path.stem.rpartition("_") for path in found if not path.name.startswith("."))
+        return sorted((name, int(frame)) for name, _, frame in parts)
+
     def image_frames(self, label: str | None) -> list[int]:
         """Frames of which there is a raw visibility image, ascending."""
         found = (self.out / "images" / image_folder(label)).glob("visibility_*.exr")

@@ -23,20 +23,18 @@ from wkernels.history import History
 from wkernels.jitter import Jitter, jittered_view
 from wkernels.launch import launch, wake_workers
 from wkernels.light_map import LightMap
-from wkernels.light_map_drawing import CasterBlocks, draw_light_map, views_stamp
 from wkernels.light_samples import LightSamples
 from wkernels.light_views import scene_views
 from wkernels.lights import Light
-from wkernels.map_storage import PLAIN_MAP, MapOptions, lay_out
+from wkernels.map_shelf import MapShelf
 from wkernels.near_plane import NearPlane
 from wkernels.raster import CULL_NONE, Rasteriser
 from wkernels.rays import LightHull
 from wkernels.sampling import light_set
+from wkernels.scene import Camera
 from wkernels.shading import shade
 from wkernels.timing import PassTimer
 from wkernels.views import HostView, eye_view
-
-MAP_BUDGET_BYTES = 512 * 2**20  # maps of many light samples are kept for later frames up to this much memory
 
 LightViews = Callable[[np.ndarray, Bounds, Bounds, int, HostView], list[HostView]]
 """A projection: light sample (4,), receivers' box, casters' box, map resolution, eye view -> one view per layer.
@@ -73,6 +71,7 @@ class Session:
         seed: Shift of all sample sets; 1 is the plain, unshifted set.
         projection: Where light depth maps look; ``scene_views`` unless given.
         skips: Whether work that the scene cannot need may be left out.
+        index: Frame to begin with; the geometry's, where others are using it.
     """
 
     def __init__(
@@ -87,18 +86,19 @@ class Session:
         seed: int = 1,
         projection: LightViews | None = None,
         skips: bool = True,
+        index: int = 0,
     ) -> None:
         self.geometry = geometry
         self.width, self.height = width, height
         self.device, self.threads, self.seed, self.skips = device, threads, seed, skips
         self.light: Light = geometry.scene.lights[light_index].moved(-geometry.origin_ws)
         self.projection: LightViews = projection or _fit_scene
-        self.index = 0  # frame index in the scene's path
+        self.index = index  # frame index in the scene's path
         self.count = 0  # frames since the last reset: how often history has been committed
         self.standard_error: wp.array | None = None  # a technique may set it in render
         self.near_plane = NearPlane(getattr(self.projection, "near", "user"))
         self._rasteriser = Rasteriser(device, threads)
-        self._blocks = CasterBlocks(geometry, device, threads)
+        self._maps = MapShelf(geometry, self._rasteriser)
         self._timer = PassTimer(device)
         self._products: dict[Hashable, _Product] = {}
         self._buffers: dict[Hashable, wp.array] = {}
@@ -109,9 +109,8 @@ class Session:
         self.read_map: LightMap | None = None  # the map with these views
         self._gbuffers: dict[tuple[int, int], gb.GBuffer] = {}
         self._visit = 0
-        self._map_bytes = 0  # of all light depth maps among the products
         self._camera: Any = None
-        self.begin(0)
+        self.begin(index)
 
     # ---- frame by frame
     # -------------------------------------------------------------------------------------------------
@@ -127,6 +126,10 @@ class Session:
         self.index = frame_index
         self.geometry.set_frame(frame_index)
         self._camera = self.geometry.scene.camera(frame_index)
+
+    def look(self, camera: Camera) -> None:
+        """Puts another camera in the place of the path's, until ``begin`` is called again."""
+        self._camera = camera
 
     def render(self, technique: Renders) -> FrameResult:
         """Runs one technique on the current frame and reads its results back (reading back is not timed)."""
@@ -164,7 +167,7 @@ class Session:
     def reset(self) -> None:
         """Forgets history and products, as before the first frame."""
         self._products.clear()
-        self._map_bytes = 0
+        self._maps.clear()
         for history in self._histories.values():
             history.valid = False
         self.near_plane.reset()
@@ -356,23 +359,7 @@ class Session:
         shown = light_ws is None or self.light_views is None
         if shown:
             self.light_views = (views, sample)
-        key: Hashable = ("map", slot, resolution, cull, tag_moving_casters)
-        options: MapOptions = getattr(self.projection, "map_options", PLAIN_MAP)
-        layout = lay_out(options.storage, len(views), resolution)
-        if key not in self._products and self._map_bytes + 4 * layout.texels > MAP_BUDGET_BYTES:
-            key = ("map", "shared", resolution, cull, tag_moving_casters)
-        inputs = (self.geometry.version, views_stamp(views))
-        triangle = self.buffer("map triangles", (resolution, layout.pitch), wp.int32) if tag_moving_casters else None
-
-        def build(old: LightMap | None) -> LightMap:
-            way = (self._rasteriser, cull, triangle, options, self._blocks, not self.skips)
-            made, beside = draw_light_map(old, self.geometry, views, sample, *way)
-            self._map_bytes += 4 * (made.depth.size - (old.depth.size if old else 0))
-            if beside:
-                self.leave_out("blocks of casters in light views", "they lie beside the view", beside)
-            return made
-
-        out: LightMap = self.product("light depth map", key, inputs, build)
+        out = self._maps.pull(self, views, sample, slot, cull, tag_moving_casters)
         if shown:
             self.read_map = out
         return out

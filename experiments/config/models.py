@@ -114,6 +114,72 @@ class FrameRange(StrictModel):
         return tuple(range(self.start, self.stop, self.step))
 
 
+Coordinate = Annotated[float, Field(ge=-1e12, le=1e12)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+
+
+RateMode = Literal["det", "x", "y"]
+
+
+class ThirdPerson(StrictModel):
+    """The free camera of ``views``: at a point, or around what the eye sees.
+
+    Attributes:
+        eye: Where it stands, scene units; None: at ``azimuth_deg``, ``elevation_deg`` and ``distance``.
+        target: What it looks at; the middle of what the eye sees unless given.
+        up: Its vertical axis; the eye's unless given.
+        fov_deg: Vertical field of view.
+        azimuth_deg: Where it stands about the vertical axis: 0 behind the eye, 90 to its right; default 60.
+        elevation_deg: How high above the horizon; default 35.
+        distance: 1, the default, where all that the eye sees just fills the picture; 2 twice as far away.
+    """
+
+    eye: Point | None = None
+    target: Point | None = None
+    up: Point | None = None
+    fov_deg: float = Field(50.0, gt=0.0, lt=180.0)
+    azimuth_deg: float | None = Field(None, ge=-360.0, le=360.0)
+    elevation_deg: float | None = Field(None, gt=-90.0, lt=90.0)
+    distance: float | None = Field(None, gt=0.0, le=1e6)
+
+    @model_validator(mode="after")
+    def _one_place(self) -> ThirdPerson:
+        around = [key for key in ("azimuth_deg", "elevation_deg", "distance") if getattr(self, key) is not None]
+        if self.eye is not None and around:
+            raise ValueError(f"has an eye already; {around[0]} would place it again.")
+        if self.eye is not None and self.eye == self.target:
+            raise ValueError("eye and target must not be the same point.")
+        if self.up is not None and not any(self.up):
+            raise ValueError("up must not be the zero vector.")
+        return self
+
+
+def _area_only() -> list[RateMode]:
+    return ["det"]
+
+
+class Views(StrictModel):
+    """Pictures that show why a technique fails (Stingl 2011, chapter 5), outside all timing.
+
+    Attributes:
+        frames: Rendered frames to picture; the first one unless given.
+        kinds: Which pictures, names of ``experiments.views.kinds``; ``all`` by default.
+        labels: Of which techniques; all that read a light map unless given.
+        third_person: Where the free camera stands.
+        image: Size of the free camera's pictures, the frame's unless given; the eye's pictures are the frame itself.
+        modes: What ``sampling_frequency`` shows: the root of the area ratio, the map's x or its y direction.
+        texels: Texels per cell of the grid of ``texel_borders``; a power of two that can be seen unless given.
+    """
+
+    frames: Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=1)] | FrameRange | None = None
+    kinds: str | Annotated[list[str], Field(min_length=1)] = "all"
+    labels: Annotated[list[str], Field(min_length=1)] | None = None
+    third_person: ThirdPerson = Field(default_factory=lambda: ThirdPerson.model_validate({}))
+    image: Image | None = None
+    modes: Annotated[list[RateMode], Field(min_length=1)] = Field(default_factory=_area_only)
+    texels: int | None = Field(None, ge=1, le=8192)
+
+
 class WalkthroughFile(StrictModel):
     """An experiment file of ``kind: walkthrough``; ``Experiment`` says what the keys mean."""
 
@@ -129,3 +195,4 @@ class WalkthroughFile(StrictModel):
     seed: int = Field(1, ge=0, le=2**31 - 1)
     frames: Annotated[int, Field(ge=1)] | FrameRange | None = None
     light: int = Field(0, ge=0)
+    views: Views | None = None

@@ -14,15 +14,16 @@ from typing import Any
 from pydantic_core import to_jsonable_python
 
 from experiments.config.messages import Loc
-from experiments.config.models import FrameRange, Image, Projection, Reference, WalkthroughFile
+from experiments.config.models import FrameRange, Image, Projection, Reference, Views, WalkthroughFile
 from experiments.config.needs import check_needs
 from experiments.config.overrides import apply_overrides
 from experiments.config.source import Source, dump_yaml, load_yaml, validate
 from experiments.config.techniques import TechniqueRun, check_projection, expand_techniques
+from experiments.config.views import resolve_views
 from wkernels.errors import nearest
 from wkernels.scene import Scene
 
-__all__ = ["Experiment", "FrameRange", "Image", "Projection", "Reference", "check_needs", "load_experiment"]
+__all__ = ["Experiment", "FrameRange", "Image", "Projection", "Reference", "Views", "check_needs", "load_experiment"]
 
 KINDS = ("walkthrough", "convergence", "sweep", "stability", "analysis", "bench")
 AVAILABLE_KINDS = ("walkthrough", "convergence", "stability", "analysis")
@@ -46,6 +47,7 @@ class Experiment:
         seed: Seed of every sample set.
         frames: Frame numbers to render, ascending.
         light: Index of the light whose visibility is compared.
+        views: Pictures to make, every default filled in; None for none.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Experiment:
     frames: tuple[int, ...]
     light: int
     loaded_scene: Scene
+    views: Views | None = None
 
     def load_scene(self) -> Scene:
         """The scene, which was loaded to check the experiment against it."""
@@ -81,6 +84,7 @@ class Experiment:
             "seed": self.seed,
             "frames": _as_range(self.frames),
             "light": self.light,
+            "views": self.views.model_dump() if self.views else None,
         }
         return dump_yaml(to_jsonable_python({key: value for key, value in data.items() if value is not None}))
 
@@ -154,6 +158,7 @@ def _resolved(
     scene_source, scene = open_scene(source, base, file.light)
     for run in runs:
         check_needs(plugins[run.name], scene, scene.lights[file.light], source=source, loc=run.loc)
+    frames = _frames(file, scene)
     return Experiment(
         name=name,
         scene=scene_source,
@@ -165,9 +170,10 @@ def _resolved(
         baseline=file.baseline or labels[0],
         repeats=file.repeats,
         seed=file.seed,
-        frames=_frames(file, scene),
+        frames=frames,
         light=file.light,
         loaded_scene=scene,
+        views=resolve_views(source, file, frames, labels),
     )
 
 

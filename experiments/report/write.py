@@ -17,7 +17,7 @@ from experiments.metrics import METRICS
 from experiments.prediction import Correlation, write_prediction
 from experiments.published import read_published
 from experiments.report import plots, style
-from experiments.report.pictures import error_scale_css, picture_frames
+from experiments.report.pictures import error_scale_css, picture_frames, view_groups
 from experiments.report.prediction import scatter
 from experiments.store import Store
 from experiments.tables import write_text
@@ -125,6 +125,7 @@ def _page(
         svgs=svgs,
         pictures=picture_frames(store, labels, all_pictures),
         picture_frames=all_pictures,
+        views=view_groups(store, labels),
         error_scale=ERROR_SCALE,
         error_gradient=Markup(gradient),  # made of numbers only
         error_ticks=ticks,
