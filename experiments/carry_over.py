@@ -41,6 +41,8 @@ def carry_over(
     previous_position_ws: np.ndarray,
     previous_ws_to_ss: np.ndarray,
     position_ws: np.ndarray,
+    *,
+    across_edges: bool = False,
 ) -> np.ndarray:
     """The previous frame's visibility at this frame's receiver points, found by reprojection.
 
@@ -54,6 +56,7 @@ def carry_over(
         previous_position_ws: (H, W, 3), in the same world space as the other arguments.
         previous_ws_to_ss: (4, 4), rows x, y, linear depth, w as in ``wkernels.views``.
         position_ws: (H, W, 3) of this frame.
+        across_edges: Keep points at hard edges, to compare pictures whose edges are not equally hard.
 
     Returns:
         float64 (H, W), NaN where there is no trustworthy match.
@@ -62,7 +65,7 @@ def carry_over(
     found = _look_up(previous_position_ws, previous_ws_to_ss, position_ws)
     if found is not None:
         seen = np.stack([previous_visibility[r, c].astype(np.float64) for r, c in found.corners])
-        known = found.matches & (np.ptp(seen, axis=0) <= HARD_EDGE)
+        known = found.matches & (across_edges | (np.ptp(seen, axis=0) <= HARD_EDGE))
         out[found.inside] = np.where(known, (found.weights * seen).sum(axis=0), np.nan)
     return out.reshape(previous_visibility.shape)
 

@@ -173,7 +173,10 @@ def flicker(session: Session, made: Any, frames: int, skip: int = 12) -> tuple[f
         result = walk(session, made, 1, index)[0]
         matrix = eye.ws_to_ss.copy()
         matrix[:, 3] = matrix @ np.append(-session.geometry.origin_ws, 1.0)
-        before = carry_over(results[-1].visibility, results[-1].world_position, matrix, result.world_position)
+        last = results[-1]
+        before = carry_over(
+            last.visibility, last.world_position, matrix, result.world_position, across_edges=True
+        )  # edges of maps are hard, those of a history are not
         if index >= skip:
             changes.append(rmse(result.visibility, before))
         eye = session.eye()
