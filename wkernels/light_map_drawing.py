@@ -120,7 +120,8 @@ def draw_light_map(
             clamp_casters(images[layer], clamps[layer], rasteriser.threads)
 
     needed = None
-    if blocks is not None and (options.drawing != "passes" or not (everything or hold_all(views, geometry))):
+    # a single view mostly sees most of the casters: finding out which it does not costs more than drawing them
+    if blocks is not None and (options.drawing != "passes" or (layers > 1 and not everything)):
         needed = blocks.pull()
     beside = rasteriser.draw_many(
         geometry.points_ws,
@@ -185,17 +186,6 @@ class CasterBlocks:
             self._blocks.update([(int(begin), int(end)) for begin, end in geometry.moving_triangles.numpy()])
         self._version = geometry.version
         return self._blocks
-
-
-def hold_all(views: Sequence[HostView], geometry: Geometry) -> bool:
-    """Whether every view holds all boxes of the casters, so that none can lie beside it."""
-    corners = geometry.bounds(casters=True).corners
-    points = np.append(corners, np.ones((len(corners), 1)), axis=1)
-    for view in views:
-        h = points @ view.ws_to_ss.T
-        if not (np.abs(h[:, :2]) <= h[:, 3:]).all():
-            return False
-    return True
 
 
 def views_stamp(views: Sequence[HostView]) -> tuple[bytes, tuple]:

@@ -119,7 +119,7 @@ def locate_run(views: LaneViews, light_map: LightMap, bias: Bias, x0: int, y: in
     density_y = Floats(0.0)
     resolution = float(light_map.resolution)
     for layer in range(light_map.layers):
-        if not is_read(layers, layer):
+        if light_map.layers > 1 and not is_read(layers, layer):
             continue
         m = light_map.ws_to_ls[layer]
         m00, m01, m02, m03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]
@@ -167,7 +167,7 @@ def locate_run(views: LaneViews, light_map: LightMap, bias: Bias, x0: int, y: in
     scale_x = Floats(0.0)
     scale_y = Floats(0.0)
     for layer in range(light_map.layers):
-        if not is_read(layers, layer):
+        if light_map.layers > 1 and not is_read(layers, layer):
             continue
         m = light_map.ws_to_ls[layer]
         m00, m01, m02, m03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]

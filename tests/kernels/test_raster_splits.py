@@ -10,6 +10,7 @@ import small_scenes as small
 import warp as wp
 from test_raster_many import cube_faces, on_device, sun_samples
 
+import wkernels.raster as raster
 from algorithms.composition import compose
 from wkernels.focusing import fitted_view, light_space
 from wkernels.frame import Session
@@ -68,7 +69,10 @@ VIEWS: dict[str, list[HostView]] = {
 @pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize("views", VIEWS)
 @pytest.mark.parametrize("drawing", DRAWINGS)
-def test_any_way_of_drawing_makes_the_same_bits(drawing: str, views: str, path: Any, device: str) -> None:
+def test_any_way_of_drawing_makes_the_same_bits(
+    drawing: str, views: str, path: Any, device: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(raster, "WORTH_LEAVING_OUT", 0.0)
     points, faces = soup(150)
     points_ws, indices = on_device(points, faces, device)
     device_views = [view.to_device() for view in VIEWS[views]]
@@ -147,6 +151,22 @@ def test_masks_agree_with_numpy(views: str, ranges: bool, device: str) -> None:
     for run in range(blocks.runs):
         uses = np.unique(np.flatnonzero((faces // lanes == run).any(axis=1)) // lanes)
         np.testing.assert_array_equal(runs[run], bits[uses].max(axis=0, initial=0))
+
+
+def test_passes_take_all_blocks_where_few_could_be_left_out(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    points_ws, indices = on_device(*soup(150), device)
+    views = [view.to_device() for view in VIEWS["narrow"]]
+    blocks = TriangleBlocks(points_ws, indices, device)
+    seen = blocks.seen_by(views)
+    share = seen.beside / seen.pairs
+    assert 0.0 < share < 1.0
+    made = []
+    for least, left_out in ((0.9 * share, seen.beside), (1.1 * share, 0)):
+        monkeypatch.setattr(raster, "WORTH_LEAVING_OUT", least)
+        image = wp.zeros((len(views), 40, 40), dtype=float, device=device)
+        assert Rasteriser(device).draw_many(points_ws, indices, views, image, blocks=blocks) == left_out
+        made.append(image.numpy())
+    np.testing.assert_array_equal(made[0], made[1])
 
 
 @pytest.mark.parametrize("drawing", DRAWINGS)

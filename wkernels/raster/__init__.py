@@ -56,6 +56,10 @@ __all__ = [
 ]
 
 
+WORTH_LEAVING_OUT = 0.2
+"""Share of the blocks below which single passes take them all: with 5 % left out they were 8 % slower."""
+
+
 class Rasteriser:
     """Draws triangles into depth maps; keeps its scratch memory between calls.
 
@@ -149,6 +153,11 @@ class Rasteriser:
         for first in range(0, len(views), MAX_VIEWS):
             part = views[first : first + MAX_VIEWS]
             seen = blocks.seen_by(part, ranges=drawing != "passes", everything=everything)
+            if drawing == "passes" and seen.beside < WORTH_LEAVING_OUT * seen.pairs:
+                for layer in range(first, first + len(part)):
+                    self.draw(points_ws, indices, views[layer], depth_out[layer], owners[layer], cull)
+                    drawn(layer)
+                continue
             beside += seen.beside
 
             def targets(i: int, first: int = first) -> tuple[wp.array, wp.array | None]:

@@ -53,16 +53,24 @@ def row_of(vertex: wp.int64):
     return wp.int32(vertex >> wp.int64(32))
 
 
-@wp.func
-def project_run(
-    points: Points,
+@wp.kernel
+def project_lanes(
+    first: int,
+    points_ws: wp.array(dtype=Points),  # (V / 128,), whole runs only
+    last_points_ws: wp.array2d(dtype=Points),  # (1, 1): what is left, anything behind it
     view: View,
     perspective: int,
-    run: int,
     vertex_out: wp.array(dtype=Longs),
     key_out: wp.array(dtype=Floats),
 ):
-    """Snapped screen position and depth key of a run of vertices, into run ``run`` of the outputs."""
+    """Snapped screen position and depth key of 128 vertices.
+
+    Where a vertex needs clipping its column is OUTSIDE, and its row has a bit for each plane that it is outside of.
+    """
+    run = first + wp.tid()
+    points = last_points_ws[0, 0]
+    if run < points_ws.shape[0]:
+        points = points_ws[run]
     m = view.ws_to_ss
     m00, m01, m02, m03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]
     m10, m11, m12, m13 = m[1, 0], m[1, 1], m[1, 2], m[1, 3]
@@ -99,27 +107,6 @@ def project_run(
 
 
 @wp.kernel
-def project_lanes(
-    first: int,
-    points_ws: wp.array(dtype=Points),  # (V / 128,), whole runs only
-    last_points_ws: wp.array2d(dtype=Points),  # (1, 1): what is left, anything behind it
-    view: View,
-    perspective: int,
-    vertex_out: wp.array(dtype=Longs),
-    key_out: wp.array(dtype=Floats),
-):
-    """Snapped screen position and depth key of 128 vertices.
-
-    Where a vertex needs clipping its column is OUTSIDE, and its row has a bit for each plane that it is outside of.
-    """
-    run = first + wp.tid()
-    points = last_points_ws[0, 0]
-    if run < points_ws.shape[0]:
-        points = points_ws[run]
-    project_run(points, view, perspective, run, vertex_out, key_out)
-
-
-@wp.kernel
 def append_clipped(
     first: int,
     clip_screen: wp.array(dtype=wp.vec4),
@@ -151,113 +138,6 @@ def chunk_start(begin: int, end: int, part: int, chunks: int):
     return wp.clamp((begin / LANES + int(wp.int64(runs) * wp.int64(part) / wp.int64(chunks))) * LANES, begin, end)
 
 
-@wp.struct
-class CullShape:
-    """What survivors of the culling must cover, and how they are told apart."""
-
-    width: int
-    height: int
-    band_shift: int  # a band has 1 << this rows
-    cull: int
-
-
-@wp.func
-def cull_run(
-    corners: wp.array(dtype=Ints),
-    pitch: int,
-    vertex: wp.array(dtype=wp.int64),
-    vertex_begin: int,
-    t0: int,
-    t_end: int,
-    shape: CullShape,
-    state: wp.vec4i,
-    column: int,
-    row_0: int,
-    survivor_out: wp.array(dtype=int),
-    span_out: wp.array(dtype=int),
-    clipped_out: wp.array(dtype=int),
-    counts_out: wp.array2d(dtype=int),
-):
-    """Culls the triangles of a run from ``t0`` on, whose vertices begin at ``vertex_begin``, for one view.
-
-    Args, those that are not ``cull_lanes``'s:
-        state: Next places of survivors and clipped triangles, the last span, and how many have had it since it came:
-            neighbouring triangles mostly lie in the same band, and are counted when another one comes.
-        column, row_0: Of ``counts_out``: the chunk's, and that of the first band.
-
-    Returns:
-        The next state.
-    """
-    width = shape.width
-    height = shape.height
-    band_shift = shape.band_shift
-    cull = shape.cull
-    keep = Ints()
-    outside = Ints()
-    spans = Ints()
-    kept = Ints()
-    survivors = state[0]
-    clipped = state[1]
-    last_span = state[2]
-    alike = state[3]
-    corners_a = corners[t0 / LANES]
-    corners_b = corners[pitch + t0 / LANES]
-    corners_c = corners[2 * pitch + t0 / LANES]
-    for k in range(LANES):
-        a = vertex[vertex_begin + corners_a[k]]
-        b = vertex[vertex_begin + corners_b[k]]
-        c = vertex[vertex_begin + corners_c[k]]
-        ax = column_of(a)
-        bx = column_of(b)
-        cx = column_of(c)
-        ay = row_of(a)
-        by = row_of(b)
-        cy = row_of(c)
-        low_x = wp.min(wp.min(ax, bx), cx)
-        high_x = wp.max(wp.max(ax, bx), cx)
-        low_y = wp.min(wp.min(ay, by), cy)
-        high_y = wp.max(wp.max(ay, by), cy)
-        top = wp.max(first_centre(low_y), 0)
-        bottom = wp.min(last_centre(high_y), height - 1)
-        across = wp.min(last_centre(high_x), width - 1) - wp.max(first_centre(low_x), 0)
-        # rows run downwards, so a triangle that is counter-clockwise seen from the view has negative area here
-        area = edge_32(ax, ay, bx, by, cx, cy)
-        side = wp.where(cull == CULL_NONE, wp.abs(area), wp.where(cull == CULL_BACK, -area, area))
-        faces = wp.where(wp.max(high_x - low_x, high_y - low_y) > SMALL, 1, wp.where(side > 0, 1, 0))
-        covers = wp.where(across >= 0, wp.where(bottom >= top, faces, 0), 0)
-        keep[k] = wp.where(high_x < OUTSIDE, covers, 0)
-        beyond_a = wp.where(ax < OUTSIDE, 0, ay)
-        beyond_b = wp.where(bx < OUTSIDE, 0, by)
-        beyond_c = wp.where(cx < OUTSIDE, 0, cy)
-        hidden = beyond_a & beyond_b & beyond_c  # all three outside of one plane: nothing would be left
-        outside[k] = wp.where(high_x < OUTSIDE, 0, wp.where(hidden != 0, 0, 1))
-        spans[k] = (top >> band_shift) | ((bottom >> band_shift) << 16)
-    n = int(0)
-    crossing = int(0)
-    for k in range(wp.min(LANES, t_end - t0)):
-        kept[n] = k
-        n += keep[k]
-        crossing += outside[k]
-    for i in range(n):
-        k = kept[i]
-        span = spans[k]
-        survivor_out[survivors] = t0 + k
-        span_out[survivors] = span
-        survivors += 1
-        if span != last_span:
-            for band in range(last_span & 65535, (last_span >> 16) + 1):
-                counts_out[row_0 + band, column] += alike
-            last_span = span
-            alike = 0
-        alike += 1
-    if crossing > 0:
-        for k in range(wp.min(LANES, t_end - t0)):
-            if outside[k] != 0:
-                clipped_out[clipped] = t0 + k
-                clipped += 1
-    return wp.vec4i(survivors, clipped, last_span, alike)
-
-
 @wp.kernel
 def cull_lanes(
     first: int,
@@ -268,7 +148,10 @@ def cull_lanes(
     end: int,
     chunk: int,
     chunks: int,
-    shape: CullShape,
+    width: int,
+    height: int,
+    band_shift: int,  # a band has 1 << this rows
+    cull: int,
     survivor_out: wp.array(dtype=int),  # from each chunk's first triangle on
     span_out: wp.array(dtype=int),  # first band, and last band << 16
     clipped_out: wp.array(dtype=int),  # likewise: triangles with a vertex that needs clipping
@@ -282,15 +165,75 @@ def cull_lanes(
     t_end = chunk_start(begin, end, part + 1, chunks)
     for band in range(counts_out.shape[0]):
         counts_out[band, own] = 0
-    state = wp.vec4i(t_begin, t_begin, 0, 0)
+    keep = Ints(0)
+    outside = Ints(0)
+    spans = Ints(0)
+    kept = Ints(0)
+    survivors = int(t_begin)
+    clipped = int(t_begin)
+    # neighbouring triangles mostly lie in the same band: they are counted when another one comes
+    last_span = int(0)
+    alike = int(0)
     for t0 in range(t_begin, t_end, LANES):
-        state = cull_run(
-            corners, pitch, vertex, 0, t0, t_end, shape, state, own, 0, survivor_out, span_out, clipped_out, counts_out
-        )
-    for band in range(state[2] & 65535, (state[2] >> 16) + 1):
-        counts_out[band, own] += state[3]
-    found_out[0, own] = state[0] - t_begin
-    found_out[1, own] = state[1] - t_begin
+        corners_a = corners[t0 / LANES]
+        corners_b = corners[pitch + t0 / LANES]
+        corners_c = corners[2 * pitch + t0 / LANES]
+        for k in range(LANES):
+            a = vertex[corners_a[k]]
+            b = vertex[corners_b[k]]
+            c = vertex[corners_c[k]]
+            ax = column_of(a)
+            bx = column_of(b)
+            cx = column_of(c)
+            ay = row_of(a)
+            by = row_of(b)
+            cy = row_of(c)
+            low_x = wp.min(wp.min(ax, bx), cx)
+            high_x = wp.max(wp.max(ax, bx), cx)
+            low_y = wp.min(wp.min(ay, by), cy)
+            high_y = wp.max(wp.max(ay, by), cy)
+            top = wp.max(first_centre(low_y), 0)
+            bottom = wp.min(last_centre(high_y), height - 1)
+            across = wp.min(last_centre(high_x), width - 1) - wp.max(first_centre(low_x), 0)
+            # rows run downwards, so a triangle that is counter-clockwise seen from the view has negative area here
+            area = edge_32(ax, ay, bx, by, cx, cy)
+            side = wp.where(cull == CULL_NONE, wp.abs(area), wp.where(cull == CULL_BACK, -area, area))
+            faces = wp.where(wp.max(high_x - low_x, high_y - low_y) > SMALL, 1, wp.where(side > 0, 1, 0))
+            covers = wp.where(across >= 0, wp.where(bottom >= top, faces, 0), 0)
+            keep[k] = wp.where(high_x < OUTSIDE, covers, 0)
+            beyond_a = wp.where(ax < OUTSIDE, 0, ay)
+            beyond_b = wp.where(bx < OUTSIDE, 0, by)
+            beyond_c = wp.where(cx < OUTSIDE, 0, cy)
+            hidden = beyond_a & beyond_b & beyond_c  # all three outside of one plane: nothing would be left
+            outside[k] = wp.where(high_x < OUTSIDE, 0, wp.where(hidden != 0, 0, 1))
+            spans[k] = (top >> band_shift) | ((bottom >> band_shift) << 16)
+        n = int(0)
+        crossing = int(0)
+        for k in range(wp.min(LANES, t_end - t0)):
+            kept[n] = k
+            n += keep[k]
+            crossing += outside[k]
+        for i in range(n):
+            k = kept[i]
+            span = spans[k]
+            survivor_out[survivors] = t0 + k
+            span_out[survivors] = span
+            survivors += 1
+            if span != last_span:
+                for band in range(last_span & 65535, (last_span >> 16) + 1):
+                    counts_out[band, own] += alike
+                last_span = span
+                alike = 0
+            alike += 1
+        if crossing > 0:
+            for k in range(wp.min(LANES, t_end - t0)):
+                if outside[k] != 0:
+                    clipped_out[clipped] = t0 + k
+                    clipped += 1
+    for band in range(last_span & 65535, (last_span >> 16) + 1):
+        counts_out[band, own] += alike
+    found_out[0, own] = survivors - t_begin
+    found_out[1, own] = clipped - t_begin
 
 
 @wp.kernel

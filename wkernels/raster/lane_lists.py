@@ -14,7 +14,6 @@ from wkernels.raster.lane_bands import LANES as BAND_LANES
 from wkernels.raster.lane_bands import Ints as BandInts
 from wkernels.raster.lane_culling import (
     LANES,
-    CullShape,
     Floats,
     Ints,
     Longs,
@@ -25,7 +24,14 @@ from wkernels.raster.lane_culling import (
     project_lanes,
 )
 from wkernels.raster.scratch import Scratch
-from wkernels.raster.split_culling import Splits, cull_cloned, cull_instanced, project_cloned, project_instanced
+from wkernels.raster.split_culling import (
+    CullShape,
+    Splits,
+    cull_cloned,
+    cull_instanced,
+    project_cloned,
+    project_instanced,
+)
 from wkernels.raster.triangles import CLIP_TRIANGLES, CLIP_VERTICES, clip_triangles
 from wkernels.views import View
 
@@ -103,7 +109,7 @@ class LaneLists:
         found.numpy()[:] = 0
         counts.numpy()[:] = 0
         if triangles:
-            inputs = [self._corner_runs, self._corner_pitch, vertex, 0, triangles, 0, CHUNKS, shape]
+            inputs = [self._corner_runs, self._corner_pitch, vertex, 0, triangles, 0, CHUNKS, *_parts(shape)]
             scratch.launch(cull_lanes, CHUNKS, inputs, [survivor, span, clipped, found, counts])
         culled = Culled(vertex, key, survivor, span, clipped, found, counts)
         return self.finish(points_ws, indices, view, perspective, cull, culled)
@@ -190,7 +196,7 @@ class LaneLists:
             inputs = [clip_screen, clip_corners, clip_vertex, clip_begin, perspective]
             outputs = [vertex, key, self._corners, self._corner_pitch * LANES]
             scratch.launch(append_clipped, slots, inputs, outputs)
-            inputs = [self._corner_runs, self._corner_pitch, vertex, clip_begin, total, CHUNKS, 1, shape]
+            inputs = [self._corner_runs, self._corner_pitch, vertex, clip_begin, total, CHUNKS, 1, *_parts(shape)]
             scratch.launch(cull_lanes, 1, inputs, [survivor, span, culled.clipped, found, counts])
 
         starts = np.concatenate([[0], np.cumsum(counts.numpy().ravel(), dtype=np.int64)])
@@ -246,6 +252,11 @@ def _shape_of(view: View, cull: int) -> tuple[CullShape, int]:
     shape.width, shape.height, shape.cull = view.width, view.height, cull
     shape.band_shift = int(np.log2(min(64, max(8, BAND_BYTES // (4 * view.width)), max(1, -(-view.height // 4)))))
     return shape, -(-view.height // (1 << shape.band_shift))
+
+
+def _parts(shape: CullShape) -> list[int]:
+    """What ``cull_lanes`` takes of it."""
+    return [shape.width, shape.height, shape.band_shift, shape.cull]
 
 
 def _in_runs(values: wp.array, dtype: type) -> wp.array:
