@@ -19,7 +19,7 @@ Known artefacts: those of ``pcf``; a split whose texels are wider than the kerne
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import warp as wp
 from pydantic import ValidationInfo, field_validator
@@ -117,6 +117,9 @@ class PcfSplitKernel(Technique):
     name = "pcf_split_kernel"
     family = "filtering"
     paper = ("stingl2011", "reeves1987pcf")
+    stability_limits: ClassVar[dict[str, str]] = {
+        "unit_length": "the kernel's diameter is a length of the world: a scene in other units needs another"
+    }
     bias_sign = "none"
     limits = (Limit(equals="shadow_map", params={"diameter": 0.0, "bilinear": False}),)
 
