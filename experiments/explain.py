@@ -18,6 +18,7 @@ from wkernels.views import eye_view
 
 if TYPE_CHECKING:
     from experiments.config.schema import Experiment
+    from experiments.config.techniques import TechniqueRun
     from wkernels.scene import Mesh, Scene
 
 FRAMES_LOOKED_AT = 30  # of a walkthrough, evenly spaced, for what depends on where the eye is
@@ -136,8 +137,10 @@ def _left_out_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, 
     if not casters:
         lines.append("depth maps, blocker searches and rays: no mesh casts, everything is lit")
     elif not any(mesh.moving for mesh in casters) and len(experiment.frames) > 1:
+        follows = not _camera_rests(experiment, scene) and any(_follows_eye(run) for run in experiment.runs)
+        maps = "depth maps that do not follow the eye" if follows else "depth maps"
         lines.append(
-            "building depth maps and ray structures anew on later frames: no caster moves and neither does the light"
+            f"building {maps} and ray structures anew on later frames: no caster moves and neither does the light"
         )
     if (
         len(experiment.frames) > 1
@@ -169,6 +172,10 @@ def _left_out_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, 
     return lines or ["nothing that is known before rendering"]
 
 
+def _follows_eye(run: TechniqueRun) -> bool:
+    return hasattr(compose(run.projection), "near")
+
+
 def _fallback_lines(experiment: Experiment, scene: Scene) -> list[str]:
     """What the projections cannot do, or need not, on some of the frames: from boxes, with the camera's near plane."""
     receivers, casters = Bounds(), Bounds()
@@ -179,9 +186,9 @@ def _fallback_lines(experiment: Experiment, scene: Scene) -> list[str]:
     frames = experiment.frames[:: -(-len(experiment.frames) // FRAMES_LOOKED_AT)]
     lines: list[str] = []
     for run in experiment.runs:
-        views: Any = compose(run.projection) if run.projection and not receivers.empty else None
+        views: Any = compose(run.projection) if _follows_eye(run) and not receivers.empty else None
         counts: dict[tuple[str, str], int] = {}
-        for frame in frames if hasattr(views, "near") else ():
+        for frame in frames if views is not None else ():
             eye = eye_view(scene.camera(frame), experiment.image.width, experiment.image.height, np.zeros(3))
             views(scene.lights[experiment.light].centre, receivers, casters, 64, eye)
             for told in set(views.left_out):

@@ -87,6 +87,7 @@ class NearPlane:
 
     def __init__(self, rule: str) -> None:
         self.rule = rule
+        self.used: HostView | None = None
         self._current: float | None = None
         self._previous: float | None = None
 
@@ -106,8 +107,10 @@ class NearPlane:
             and frame.leave_out(LEAST_DEPTH, "clipping the scene's box to the view gives the near plane already")
         ):
             least = self._least_depth(frame)
-        self.used = eye if least is None else replace(eye, near=float(min(max(eye.near, least), eye.far)))
-        return self.used
+        if least is not None:
+            eye = replace(eye, near=float(min(max(eye.near, least), eye.far)))
+        self.used = eye
+        return eye
 
     def look_back(self, frame: Session) -> None:
         """Notes the depth of a frame that has been rendered, for the next one."""

@@ -258,5 +258,6 @@ def map_use(session: Session) -> MapUse | None:
     receivers = session.geometry.bounds(receivers=True)
     waste = 1.0
     if not receivers.empty:
-        waste = float(np.mean(wasted_shares(session.light_views[0], seen_body(receivers, session.eye()))))
+        eye = session.near_plane.used or session.eye()
+        waste = float(np.mean(wasted_shares(session.light_views[0], seen_body(receivers, eye))))
     return MapUse(rate, waste, unread_share(rate, session.read_map))

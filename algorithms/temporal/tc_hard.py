@@ -56,6 +56,7 @@ class TcHard(Technique):
     family = "temporal"
     paper = ("scherzer2007", "schwaerzler2009", "stingl2011")
     needs = Needs(history=True)
+    hard = True
     bias_sign = "none"
     limits = (
         Limit(equals="shadow_map", params={"jitter": 0.0, "overscan": 0.0}, frames=8),

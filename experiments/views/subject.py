@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from experiments.config.models import Views
+from experiments.config.models import Reference, Views
 from experiments.config.schema import Experiment
 from experiments.config.techniques import TechniqueRun
 from experiments.engine import FrameLike, WarpEngine
@@ -67,7 +67,7 @@ class Subject:
         shots: By place, ``eye`` and ``third``.
         views: The light's views, one a layer; empty where the technique reads no light map.
         light_ws: The light sample (4,) that they belong to, rebased world.
-        eye: The eye's view.
+        eye: The eye's view, its near plane where the maps have it.
         settings: The projection as the experiment file has it; empty for the plainest.
     """
 
@@ -87,7 +87,7 @@ class Subject:
         self.session, self.reference = session, reference
         self.geometry = engine.geometry
         self.settings: Mapping[str, Any] = run.projection or {}
-        self.eye = session.eye()
+        self.eye = (session.light_views and session.near_plane.used) or session.eye()
         views, sample = session.light_views or ([], session.light.centre)
         self.views: list[HostView] = list(views)
         self.light_ws = np.asarray(sample, float)
@@ -114,19 +114,23 @@ class Subject:
             return self.reference
         from algorithms.plugins import find
 
-        experiment = self.experiment
-        soft = experiment.reference is not None and self.session.light.has_area
-        technique: Any = find(AREA_TECHNIQUE if soft else POINT_TECHNIQUE, [])
-        samples = {"samples": experiment.reference.samples} if soft and experiment.reference else {}
+        technique: Any = find(AREA_TECHNIQUE if self._soft_reference else POINT_TECHNIQUE, [])
+        samples = {"samples": self._soft_reference.samples} if self._soft_reference else {}
         return self._observer(place).render(technique(technique.Params(**samples))).visibility
 
     @property
     def truth_in_words(self) -> str:
         """What ``truth`` is."""
-        reference = self.experiment.reference
-        if reference is not None and self.session.light.has_area:
-            return f"ray cast to {reference.samples} points of the light"
+        if self._soft_reference:
+            return f"ray cast to {self._soft_reference.samples} points of the light"
         return "ray cast to the light's centre"
+
+    @property
+    def _soft_reference(self) -> Reference | None:
+        """The experiment's reference if it samples the light; None where one ray is the truth."""
+        reference = self.experiment.reference
+        soft = reference is not None and reference.light == "whole" and self.session.light.has_area
+        return reference if soft else None
 
     def _observer(self, place: str) -> Session:
         """A session of its own, so that nothing of the timed one changes; it reads the very maps of that one."""
@@ -249,9 +253,6 @@ class Subject:
         if self.whole.is_empty or self.settings.get("adjust", True) is False:
             return self.eye.near, self.eye.far
         near, far = depth_range(self.whole.vertices, self.eye)
-        if self.follows_eye and str(self.settings.get("near", "user")).startswith("auto"):
-            seen = self.shot("eye").depth
-            near = max(near, float(seen.min())) if np.isfinite(seen).any() else near
         return (near, far) if near < far else (self.eye.near, self.eye.far)
 
     @cached_property

@@ -230,4 +230,4 @@ def truth(
 
 def is_hard(technique: type[Technique]) -> bool:
     """Whether the technique reduces lights to their centre."""
-    return technique.family == "hard" or technique.name in ("ray_cast_point_shadow", "tc_hard")
+    return technique.family == "hard" or technique.hard

@@ -331,3 +331,5 @@ def test_explain_tells_what_projections_fall_back_to() -> None:
     text = explain(make_experiment(runs), PLUGINS)
     told = "light view of a split on 5 of 5 frames looked at: nothing of what the eye sees lies in it"
     assert f"wide: {told}" in text and f"fitted: {told}" not in text
+    assert "building depth maps that do not follow the eye" in text  # the fake camera moves
+    assert "building depth maps and ray structures" in explain(make_experiment([make_run("a")]), PLUGINS)

@@ -271,3 +271,20 @@ def test_every_kind_works_for_every_projection(files: Path, light: str, projecti
         sheet = draw(subject)
         assert all(np.isfinite(panel.image).all() for panel in sheet.panels), name
     assert len(subject.parts) == len(subject.ranges) == len(subject.views)
+
+
+@pytest.mark.parametrize(
+    ("reference", "words"), [("{light: centre}", "the light's centre"), ("{samples: 9}", "9 points of the light")]
+)
+def test_the_difference_is_to_what_the_reference_asks_for(files: Path, reference: str, words: str) -> None:
+    subject = make(files, "box", f"reference={reference}")
+    truth = subject.truth("third")
+    between = (truth > 0.0) & (truth < 1.0)
+    assert words in subject.truth_in_words and between.any() == ("9" in words)
+
+
+def test_a_raised_near_plane_is_where_bodies_and_splits_begin(files: Path) -> None:
+    user, auto = (make(files, "box", f"projection.near={near}") for near in ("user", "auto"))
+    seen = auto.shot("eye").depth
+    assert user.depths[0] < 0.9 * auto.depths[0] == pytest.approx(0.9 * seen.min(), rel=1e-6)
+    assert auto.eye.near == auto.depths[0]
