@@ -54,12 +54,14 @@ class History:
         current: For this frame to write, completely.
         valid: Whether there was a last frame.
         previous_view: The eye's view of that frame, at the buffer's size.
+        previous_index: That frame's index.
     """
 
     previous: Any
     current: Any
     valid: bool = False
     previous_view: View | None = None
+    previous_index: int | None = None
 
 
 @dataclass
@@ -110,6 +112,7 @@ class Session:
         self._buffers: dict[Hashable, wp.array] = {}
         self._histories: dict[str, History] = {}
         self._previous_camera: Any = None
+        self._previous_index: int | None = None
         self.left_out: dict[tuple[str, str], int] = {}
         self.light_views: tuple[list[HostView], np.ndarray] | None = None
         self._gbuffers: dict[tuple[int, int], gb.GBuffer] = {}
@@ -159,7 +162,7 @@ class Session:
         for history in self._histories.values():
             history.previous, history.current = history.current, history.previous
             history.valid = True
-        self._previous_camera = self._camera
+        self._previous_camera, self._previous_index = self._camera, self.index
         self.count += 1
         self._visit += 1
 
@@ -168,7 +171,7 @@ class Session:
         self._products.clear()
         for history in self._histories.values():
             history.valid = False
-        self._previous_camera = None
+        self._previous_camera = self._previous_index = None
         self.count = 0
         self._visit += 1
 
@@ -361,7 +364,7 @@ class Session:
         if name not in self._histories:
             self._histories[name] = History(allocate(), allocate())
         out = self._histories[name]
-        out.previous_view = None
+        out.previous_view, out.previous_index = None, self._previous_index if out.valid else None
         if out.valid and self._previous_camera is not None:
             view = eye_view(self._previous_camera, self.width, self.height, self.geometry.origin_ws, margin)
             out.previous_view = view.to_device()

@@ -1,8 +1,8 @@
 """``shadow_buffer_update`` for a run of pixels at a time; see ``receiver_lanes.py`` for how such code is written.
 
 The lanes do what nearly every pixel needs: the hard test, the history's four texels each with its depth test, the
-sums, the error and the filter's width. A start by percentage-closer soft shadows, which only pixels without history
-need, is left to the plain function, one pixel at a time.
+sums, the error and the filter's width. What few pixels need is left to the plain function, one pixel at a time: a start
+that searches, the end of a moving caster's shadow, surfaces whose motion is followed.
 """
 
 from __future__ import annotations
@@ -11,12 +11,18 @@ import warp as wp
 
 from wkernels.filtering import NEAREST_BLOCKER, LightFootprint
 from wkernels.gbuffer import GBuffer
-from wkernels.geometry import RECEIVES
+from wkernels.geometry import MOVES, RECEIVES
 from wkernels.lanes import LANES, Floats, Ints
 from wkernels.light_map import LightMap
 from wkernels.receiver_lanes import LaneViews, locate_run, to_layers
 from wkernels.shadow_buffer import EDGE_ON
-from wkernels.shadow_buffer_update import FULL_WIDTH_ERROR, UpdateSettings, update_pixel
+from wkernels.shadow_buffer_update import (
+    DISOCCLUDE,
+    FULL_WIDTH_ERROR,
+    START_SAMPLE,
+    UpdateSettings,
+    update_pixel,
+)
 from wkernels.views import View
 
 
@@ -25,6 +31,7 @@ class PointRun:
     """What a run's pixels see; zeros where nothing receives."""
 
     receives: Ints
+    moves: Ints  # 1: the surface itself does
     x: Floats
     y: Floats
     z: Floats
@@ -36,11 +43,15 @@ class PointRun:
 
 @wp.struct
 class HistoryRun:
-    """``ShadowRecord`` of each lane, but for its depth; n = 0 where the pixel is new."""
+    """``ShadowRecord`` of each lane, but for its depth; n = 0 where the pixel is new.
+
+    Where ``of_mover`` is 1 a texel holds a moving caster's shadow, and the sums are no use: they mix it with others.
+    """
 
     rho: Floats
     n: Floats
     blocker_rise: Floats
+    of_mover: Ints
 
 
 @wp.func
@@ -53,6 +64,7 @@ def points_of_run(views: LaneViews, eye_depth: wp.array(dtype=Floats), x0: int, 
     normal = views.normal_ws[3 * begin]
     eye_depths = eye_depth[begin]
     receives = Ints(0)
+    moves = Ints(0)
     px = Floats(0.0)
     py = Floats(0.0)
     pz = Floats(0.0)
@@ -62,6 +74,7 @@ def points_of_run(views: LaneViews, eye_depth: wp.array(dtype=Floats), x0: int, 
     depth = Floats(0.0)
     for k in range(LANES):
         receives[k] = wp.where((flags[k] & RECEIVES) != 0, 1, 0)
+        moves[k] = wp.where((flags[k] & MOVES) != 0, receives[k], 0)
         px[k] = position[3 * k]
         py[k] = position[3 * k + 1]
         pz[k] = position[3 * k + 2]
@@ -70,6 +83,7 @@ def points_of_run(views: LaneViews, eye_depth: wp.array(dtype=Floats), x0: int, 
         nz[k] = normal[3 * k + 2]
         depth[k] = wp.where(receives[k] != 0, eye_depths[k], 0.0)
     out.receives = receives
+    out.moves = moves
     out.x = px
     out.y = py
     out.z = pz
@@ -104,7 +118,7 @@ def fetch_run(
     points: PointRun,
     wanted: Ints,
     epsilon: float,
-    rounding: float,
+    relative: float,
     texel_steps: float,
 ):
     """``fetch_record`` of the lanes that are wanted (1)."""
@@ -157,6 +171,7 @@ def fetch_run(
     rho = Floats(0.0)
     n = Floats(0.0)
     rise = Floats(0.0)
+    of_mover = Ints(0)
     for dy in range(2):
         for dx in range(2):
             for k in range(LANES):
@@ -169,7 +184,8 @@ def fetch_run(
                 at = 4 * wp.where(on_image != 0, row * width + column, 0)
                 held_rho = previous[at]
                 held_n = previous[at + 1]
-                held_depth = previous[at + 2] * far
+                tagged_depth = previous[at + 2] * far
+                held_depth = wp.abs(tagged_depth)
                 held_rise = previous[at + 3]
                 x_px = float(column) + 0.5
                 y_px = float(row) + 0.5
@@ -184,7 +200,7 @@ def fetch_run(
                 from_z = pz[k] - (b_z + x_px * bx_z + y_px * by_z)
                 on_plane = (nx[k] * from_x + ny[k] * from_y + nz[k] * from_z) / wp.where(seen, slope, 1.0)
                 expected = wp.where(seen, on_plane, own_depth[k])
-                close = wp.abs(held_depth - expected) < epsilon + rounding * held_depth
+                close = wp.abs(held_depth - expected) < epsilon + relative * held_depth
                 counts = wp.where(share > 0.0, wp.where(held_n > 0.0, wp.where(held_depth > 0.0, on_image, 0), 0), 0)
                 taken = wp.where(close, wp.where(counts != 0, share, 0.0), 0.0)
                 total[k] = total[k] + taken
@@ -193,6 +209,7 @@ def fetch_run(
                 met = wp.where(held_rise > 0.0, taken, 0.0)
                 known[k] = known[k] + met
                 rise[k] = rise[k] + met * held_rise
+                of_mover[k] = wp.where(tagged_depth < 0.0, wp.where(taken > 0.0, 1, of_mover[k]), of_mover[k])
     out = HistoryRun()
     for k in range(LANES):
         rho[k] = wp.where(total[k] > 0.0, rho[k] / wp.where(total[k] > 0.0, total[k], 1.0), 0.0)
@@ -201,6 +218,7 @@ def fetch_run(
     out.rho = rho
     out.n = n
     out.blocker_rise = rise
+    out.of_mover = of_mover
     return out
 
 
@@ -265,27 +283,32 @@ def update_shadow_buffer_lanes(
             points,
             wanted,
             settings.depth_epsilon,
-            settings.storage.rounding,
+            settings.relative_epsilon,
             settings.texel_steps,
         )
     rho = history.rho
     n = history.n
     rises = history.blocker_rise
-    starts = Ints(0)
-    new_pixels = int(0)
+    of_mover = history.of_mover
+    on_mover = points.moves
+    alone = Ints(0)  # pixels for the plain function
+    alone_count = int(0)
     smoothed = int(0)
     psi = Floats(0.0)
     error = Floats(0.0)
     first_blockers = settings.first_blockers
+    counts_tests = settings.counts_tests
     weight = settings.weight
     limit = settings.storage.limit
-    starts_with_pcss = settings.starts_with_pcss
+    searches = wp.where(settings.start != START_SAMPLE, 1, 0)
+    follows = wp.where(settings.followed_samples > 0.0, 1, 0)
     threshold = wp.where(settings.smooths != 0, settings.error_threshold, 2.0)  # no error is larger than 1
+    least_samples = wp.where(settings.smooths != 0, settings.least_samples, 0.0)
     for k in range(LANES):
-        start = wp.where(n[k] <= 0.0, receives[k] * starts_with_pcss, 0)
-        starts[k] = start
-        new_pixels += start
-        known = rho[k] + first_blockers
+        start = wp.where(n[k] <= 0.0, receives[k] * searches, 0)
+        alone[k] = start | of_mover[k] | (on_mover[k] * follows)
+        alone_count += alone[k]
+        known = wp.where(counts_tests != 0, n[k], rho[k]) + first_blockers
         refined = wp.where(rises[k] > 0.0, (new_rise[k] + rises[k] * known) / (known + 1.0), new_rise[k])
         rises[k] = wp.where(new_rise[k] > 0.0, refined, rises[k])
         scale = wp.where(n[k] + weight > limit, 0.5, 1.0)
@@ -296,7 +319,8 @@ def update_shadow_buffer_lanes(
         deviation = wp.sqrt(wp.where(n[k] > 1.5, variance, 1.0))
         psi[k] = wp.where(receives[k] != 0, share, 0.0)
         error[k] = wp.where(receives[k] != 0, deviation, 0.0)
-        smoothed += wp.where(error[k] > threshold, wp.where(rises[k] > 0.0, 1, 0), 0)
+        uncertain = wp.where(error[k] > threshold, receives[k], wp.where(n[k] < least_samples, receives[k], 0))
+        smoothed += wp.where(rises[k] > 0.0, uncertain, 0)
 
     half_width = Floats(0.0)
     eye_depths = points.depth
@@ -307,7 +331,7 @@ def update_shadow_buffer_lanes(
         base_x, base_y, base_z = base[0], base[1], base[2]
         along_x, along_y, along_z = along[0], along[1], along[2]
         is_point = footprint.is_point
-        size = 0.5 * settings.light_size
+        size = settings.half_widths * settings.light_size
         narrows = settings.narrows
         for k in range(LANES):
             blocker = light_depth[k] * (1.0 - rises[k])
@@ -319,20 +343,23 @@ def update_shadow_buffer_lanes(
             s_z = base_z + eye_depths[k] * along_z
             pixels = size * ratio / wp.max(wp.sqrt(s_x * s_x + s_y * s_y + s_z * s_z), 1.0e-30)
             narrow = wp.where(narrows != 0, wp.min(1.0, error[k] / FULL_WIDTH_ERROR), 1.0)
-            asks = wp.where(error[k] > threshold, wp.where(rises[k] > 0.0, 1, 0), 0)
+            uncertain = wp.where(error[k] > threshold, receives[k], wp.where(n[k] < least_samples, receives[k], 0))
+            asks = wp.where(rises[k] > 0.0, uncertain, 0)
             half_width[k] = wp.where(asks != 0, pixels * narrow, 0.0)
 
     far = gbuffer.view.far
+    drops = wp.where(settings.movers == DISOCCLUDE, 1, 0)
     for k in range(held):
-        keeps = wp.where(moves[k] != 0, 0.0, float(receives[k]))
+        keeps = wp.where((moves[k] & drops) != 0, 0.0, float(receives[k]))
+        tag = wp.where(wp.where(keeps > 0.0, moves[k], 0) != 0, -1.0, 1.0)
         rise = rises[k] * float(receives[k])
-        current_out[y, x0 + k] = wp.vec4(rho[k] * keeps, n[k] * keeps, eye_depths[k] / far, rise)
+        current_out[y, x0 + k] = wp.vec4(rho[k] * keeps, n[k] * keeps, tag * eye_depths[k] / far, rise)
         psi_out[y, x0 + k] = psi[k]
         error_out[y, x0 + k] = error[k]
         half_width_out[y, x0 + k] = half_width[k]
-    if new_pixels > 0:
+    if alone_count > 0:
         for k in range(held):
-            if starts[k] != 0:
+            if alone[k] != 0:
                 update_pixel(
                     x0 + k,
                     y,

@@ -13,6 +13,7 @@ import warp as wp
 from algorithms.plugins import find
 from algorithms.technique import MapParams
 from experiments.scenes.loader import load_scene
+from wkernels import shadow_buffer_step
 from wkernels.frame import Session
 from wkernels.gbuffer import GBuffer, is_back_lit
 from wkernels.geometry import RECEIVES, Geometry
@@ -225,7 +226,7 @@ def test_a_shadow_buffer_in_lanes_remembers_what_the_plain_one_does(
 ) -> None:
     """Along a path with movers, disocclusion and history at fractions of a pixel."""
     plugin = find("tc_soft_paper")
-    module = sys.modules[plugin.__module__]
+    modules = (sys.modules[plugin.__module__], shadow_buffer_step)
     loaded = load_scene(f"configs/scenes/{scene}.yaml")
     running = {lanes: session(loaded, 150, 84) for lanes in (False, True)}
     technique = plugin(plugin.Params(resolution=256, **params))
@@ -233,7 +234,8 @@ def test_a_shadow_buffer_in_lanes_remembers_what_the_plain_one_does(
     for frame in range(0, 60, 4):
         made = {}
         for lanes, own in running.items():
-            monkeypatch.setattr(module, "uses_lanes", lambda device, lanes=lanes: lanes)
+            for module in modules:
+                monkeypatch.setattr(module, "uses_lanes", lambda device, lanes=lanes: lanes)
             own.begin(frame)
             made[lanes] = own.render(technique)
             own.advance()
