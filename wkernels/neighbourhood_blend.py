@@ -89,9 +89,7 @@ def blend_neighbourhood(
     visibility_out[y, x] = 1.0 - shown
 
 
-BLEND = {
-    texel: wp.overload(blend_neighbourhood, {"texels": wp.array2d(dtype=texel)}) for texel in TEXEL_TYPES.values()
-}
+BLEND = {texel: wp.overload(blend_neighbourhood, {"texels": wp.array2d(dtype=texel)}) for texel in TEXEL_TYPES.values()}
 """The kernel by texel type."""
 
 

@@ -119,9 +119,7 @@ def fetch_history(
             settings.texel_steps,
         )
     else:
-        result = fetch_linear(
-            previous, previous_view, position_ws, settings.depth_epsilon, settings.relative_epsilon
-        )
+        result = fetch_linear(previous, previous_view, position_ws, settings.depth_epsilon, settings.relative_epsilon)
     if is_followed and result.n > settings.followed_samples:
         # light and shadows pass over a surface that moves: older tests say less and less of it
         result.rho = result.rho * (settings.followed_samples / result.n)

@@ -3,15 +3,15 @@
 Every frame draws one depth map from the next point of the light (Halton) and adds its hard test tau to what each
 point's texel of the *shadow buffer* holds: rho (sum of tests), n (their number), linear eye depth and mean blocker
 depth (equations 5.1 to 5.5). The point is found again by reprojection where the relative depth test |1 - d / d'| <
-0.001 passes (5.18). A new point's mean blocker depth comes from 16 Poisson taps within 7 texels of the map and is refined by
-one sample a frame (5.7, 5.8). Psi is *blurred* over 16 taps to neighbours in the eye's view, as wide as the penumbra
-(5.6, 5.9 to 5.12). The standard error s, sqrt(psi (1 - psi) / (n - 1)) (5.3), says what is shown: the blur while n < 16
-or s > s_max, the sampled psi from s_min down, and in between the blend of equations 5.13 and 5.14. Where the shadow of
-a moving caster has left, the sums fade out, eta' = eta - Delta (5.15 to 5.17); while it was there every frame started
-anew.
+0.001 passes (5.18). A new point's mean blocker depth comes from 16 Poisson taps within 7 texels of the map and is
+refined by one sample a frame (5.7, 5.8). Psi is *blurred* over 16 taps to neighbours in the eye's view, as wide as the
+penumbra (5.6, 5.9 to 5.12). The standard error s, sqrt(psi (1 - psi) / (n - 1)) (5.3), says what is shown: the blur
+while n < 16 or s > s_max, the sampled psi from s_min down, and in between the blend of equations 5.13 and 5.14. Where
+the shadow of a moving caster has left, the sums fade out, eta' = eta - Delta (5.15 to 5.17); while it was there every
+frame started anew.
 
-``tc_soft_paper`` is the same authors' other variant. Choices and corrections, each a parameter where the printed form
-is worth a look:
+The other published variant is ``tc_soft_paper`` (Scherzer et al. 2009). Choices and corrections, each a parameter where
+the printed form is worth a look:
 - n = 1 has no standard error (5.3 is 0/0): 1.
 - ``start``: section 5.2.3 never stores the blur; the shader stores a new point's as 16 samples, rho = 8 (blur + tau)
   (``blur``). One map's blur then outweighs the next 16: along ``overlap`` the error is 15 % larger.
@@ -29,8 +29,9 @@ is worth a look:
 - Divisions by a depth or count of 0 (5.18 on the first frame) are guarded. The blur reads this frame's psi, as in the
   text; the shader reads the last frame's. A search that meets a moving blocker tags its pixel, too.
 
-Known artefacts: with ``start: blur`` a bias of up to 16 |blur - psi| / n; false certainty (s = 0) where all tests agree so far;
-noise where moving and static penumbrae overlap; lag on surfaces that move by less than epsilon a frame.
+Known artefacts: with ``start: blur`` a bias of up to 16 |blur - psi| / n; false certainty (s = 0) where all tests agree
+so far; noise where moving and static penumbrae overlap, as every frame there starts anew; a mover behind a static
+caster, as the light sees it, leaves no tag; lag on surfaces that move by less than epsilon a frame.
 """
 
 from __future__ import annotations
@@ -113,7 +114,12 @@ class TcSoftThesis(Technique):
             "taken", "a neighbourhood that is wholly lit; published: rejected", unit="name", source="app. A"
         )
         depth_epsilon: float = setting(
-            1e-3, "largest depth difference of a point and its history", unit="eye depths", source="app. A", gt=0.0, le=1.0
+            1e-3,
+            "largest depth difference of a point and its history",
+            unit="eye depths",
+            source="app. A",
+            gt=0.0,
+            le=1.0,
         )
         history: Literal["bilinear", "nearest", "linear"] = setting(
             "bilinear", "how the last frame's shadow buffer is read; published: linear", unit="name", source="app. A"

@@ -172,7 +172,9 @@ def tumbling(frame: int) -> np.ndarray:
 def test_mesh_motion_takes_points_back_to_where_they_were(device: str) -> None:
     scene = small.box_on_ground(small.light("rectangle"))
     box = replace(scene.meshes[1], object_to_ws=tumbling, moving=True)
-    flat = replace(small.mesh("flat", small.plane(2.0)), object_to_ws=lambda f: np.diag([1.0, 0.0, 1.0, 1.0]), moving=True)
+    flat = replace(
+        small.mesh("flat", small.plane(2.0)), object_to_ws=lambda f: np.diag([1.0, 0.0, 1.0, 1.0]), moving=True
+    )
     geometry = Geometry(replace(scene, meshes=(scene.meshes[0], box, flat)), device)
     assert geometry.origin_ws.any()
     points, normals = mesh_motion(geometry, 7, 4)
@@ -246,7 +248,9 @@ for _texel in TEXEL_TYPES.values():
 TRUTH = (0.0, 0.05, 0.25, 0.3, 0.5, 0.9)
 
 
-@pytest.mark.parametrize(("format", "cap"), [("float32", True), ("float16", True), ("float16", False), ("float32", False)])
+@pytest.mark.parametrize(
+    ("format", "cap"), [("float32", True), ("float16", True), ("float16", False), ("float32", False)]
+)
 def test_100_000_frames_do_not_drift_but_for_the_published_buffer(format: str, cap: bool, device: str) -> None:
     frames = 100_000
     texels = wp.zeros((1, len(TRUTH)), dtype=TEXEL_TYPES[format], device=device)

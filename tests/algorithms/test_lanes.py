@@ -219,13 +219,25 @@ def test_lanes_do_not_depend_on_threads(name: str) -> None:
 # ---- over time ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("params", [{}, {"start": "sample"}, {"history": "nearest", "filter_width": "penumbra"}])
+OVER_TIME: list[tuple[str, dict[str, Any]]] = [
+    ("tc_soft_paper", {}),
+    ("tc_soft_paper", {"start": "sample"}),
+    ("tc_soft_paper", {"history": "nearest", "filter_width": "penumbra"}),
+    ("tc_soft_paper", {"movers": "gradual", "start_weight": 4.0, "mover_surfaces": "own_motion"}),
+    ("tc_soft_paper", {"movers": "at_once", "start": "sample"}),
+    ("tc_soft_thesis", {}),
+    ("tc_soft_thesis", {"start": "blur", "blocker_mean": "frames", "mover_surfaces": "own_motion"}),
+    ("tc_soft_thesis", {"start": "blur", "movers": "at_once", "kernel": "poisson", "zero_blur": "rejected"}),
+]
+
+
+@pytest.mark.parametrize(("name", "params"), OVER_TIME)
 @pytest.mark.parametrize("scene", ["overlap", "moving_blocker"])
 def test_a_shadow_buffer_in_lanes_remembers_what_the_plain_one_does(
-    scene: str, params: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    scene: str, name: str, params: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Along a path with movers, disocclusion and history at fractions of a pixel."""
-    plugin = find("tc_soft_paper")
+    plugin = find(name)
     modules = (sys.modules[plugin.__module__], shadow_buffer_step)
     loaded = load_scene(f"configs/scenes/{scene}.yaml")
     running = {lanes: session(loaded, 150, 84) for lanes in (False, True)}
