@@ -104,6 +104,7 @@ class Session:
         self._buffers: dict[Hashable, wp.array] = {}
         self._histories: dict[str, History] = {}
         self._previous_camera: Any = None
+        self._previous_index: int | None = None
         self.left_out: dict[tuple[str, str], int] = {}
         self.light_views: tuple[list[HostView], np.ndarray] | None = None
         self.read_map: LightMap | None = None  # the map with these views
@@ -160,7 +161,7 @@ class Session:
             history.previous, history.current = history.current, history.previous
             history.valid = True
         self.near_plane.advance()
-        self._previous_camera = self._camera
+        self._previous_camera, self._previous_index = self._camera, self.index
         self.count += 1
         self._visit += 1
 
@@ -171,7 +172,7 @@ class Session:
         for history in self._histories.values():
             history.valid = False
         self.near_plane.reset()
-        self._previous_camera = None
+        self._previous_camera = self._previous_index = None
         self.count = 0
         self._visit += 1
 
@@ -369,7 +370,7 @@ class Session:
         if name not in self._histories:
             self._histories[name] = History(allocate(), allocate())
         out = self._histories[name]
-        out.previous_view = None
+        out.previous_view, out.previous_index = None, self._previous_index if out.valid else None
         if out.valid and self._previous_camera is not None:
             view = eye_view(self._previous_camera, self.width, self.height, self.geometry.origin_ws, margin)
             out.previous_view = view.to_device()
