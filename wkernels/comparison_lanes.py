@@ -98,7 +98,10 @@ def compare_nearest_taps(
     spread: SpreadRun,
     taps: wp.array(dtype=wp.vec2),
 ):
-    """One comparison per tap with the nearest texel: (taps lit, sum of the stored depths of the others)."""
+    """One comparison per tap with the nearest texel.
+
+    Returns (taps lit, sum of the stored depths of the others, how many of these are of moving casters).
+    """
     depth = views.depth
     resolution = light_map.resolution
     pitch = light_map.pitch
@@ -120,6 +123,7 @@ def compare_nearest_taps(
     last = float(resolution) - BORDER
     lit = Floats(0.0)
     hidden_depth = Floats(0.0)
+    moving = Ints(0)
     for i in range(taps.shape[0]):
         tap = taps[i]
         tap_x = tap[0]
@@ -128,21 +132,25 @@ def compare_nearest_taps(
             for k in range(LANES):
                 x = wp.clamp(xs[k] + (xx[k] * tap_x + xy[k] * tap_y), BORDER, last)
                 y = wp.clamp(ys[k] + (yx[k] * tap_x + yy[k] * tap_y), BORDER, last)
-                stored = wp.abs(depth[begin[k] + int(y) * pitch + int(x)])
+                tagged = depth[begin[k] + int(y) * pitch + int(x)]
+                stored = wp.abs(tagged)
                 plane = rise_x[k] * (x - xs[k]) + rise_y[k] * (y - ys[k]) + rise[k] - bias[k]
                 lit[k] = lit[k] + wp.where(plane <= stored, 1.0, 0.0)
                 hidden_depth[k] = hidden_depth[k] + wp.where(plane > stored, stored, 0.0)
+                moving[k] = moving[k] + wp.where(plane > stored, wp.where(tagged < 0.0, 1, 0), 0)
             continue
         for k in range(LANES):
             x = wp.clamp(xs[k] + (xx[k] * tap_x + xy[k] * tap_y), BORDER, last)
             y = wp.clamp(ys[k] + (yx[k] * tap_x + yy[k] * tap_y), BORDER, last)
-            stored = wp.abs(depth[begin[k] + int(y) * pitch + int(x)])
+            tagged = depth[begin[k] + int(y) * pitch + int(x)]
+            stored = wp.abs(tagged)
             plane = tap_depth_lane(
                 x - xs[k], y - ys[k], own[k], bias[k], rise_x[k], rise_y[k], rise[k], scale_x[k], scale_y[k]
             )
             lit[k] = lit[k] + wp.where(plane <= stored, 1.0, 0.0)
             hidden_depth[k] = hidden_depth[k] + wp.where(plane > stored, stored, 0.0)
-    return lit, hidden_depth
+            moving[k] = moving[k] + wp.where(plane > stored, wp.where(tagged < 0.0, 1, 0), 0)
+    return lit, hidden_depth, moving
 
 
 @wp.func

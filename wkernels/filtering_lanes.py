@@ -9,7 +9,7 @@ import warp as wp
 
 from wkernels.comparison_lanes import SpreadRun, compare_bilinear_taps, compare_nearest_taps
 from wkernels.filtering import NEAREST_BLOCKER, LightFootprint, tap_rotation
-from wkernels.lanes import LANES, Floats
+from wkernels.lanes import LANES, Floats, Ints
 from wkernels.light_map import LightMap
 from wkernels.receiver_lanes import LaneViews, ReceiverRun
 
@@ -18,6 +18,16 @@ def flat_half_axes(footprint: LightFootprint) -> wp.array:
     """``footprint.half_axes`` as float (4 layers,), on the CPU; a view, which must not outlive the footprint."""
     axes = footprint.half_axes
     return wp.array(ptr=axes.ptr, dtype=float, shape=4 * axes.shape[0], device="cpu")
+
+
+@wp.struct
+class BlockerRun:
+    """What each lane's blocker search finds; zeros where it finds nothing."""
+
+    count: int  # lanes with a blocker
+    hidden: Floats  # taps
+    depth: Floats  # mean linear depth of the blockers
+    moving: Ints  # taps that a moving caster hides; of use only in lanes with a receiver
 
 
 @wp.func
@@ -52,7 +62,7 @@ def penumbra_filter_run(
     if bilinear != 0:
         lit = compare_bilinear_taps(views, light_map, receivers, spread, taps)
     else:
-        lit, _hidden = compare_nearest_taps(views, light_map, receivers, spread, taps)
+        lit, _hidden, _moving = compare_nearest_taps(views, light_map, receivers, spread, taps)
     return lit / float(taps.shape[0])
 
 
@@ -127,26 +137,74 @@ def pcss_visibility_run(
 
     ``half_axes`` is ``flat_half_axes(footprint)``; cosine and sine are those of ``tap_rotation``.
     """
+    axes = texels_per_ratio_run(half_axes, receivers, cosine, sine)
+    search = search_spread_run(light_map, footprint, receivers, axes)
+    blockers = search_blockers_run(views, light_map, receivers, search, blocker_taps)
+    return filter_behind_blockers_run(
+        views, light_map, footprint, receivers, axes, blockers, blockers.count, filter_taps, bilinear
+    )
+
+
+@wp.func
+def search_spread_run(light_map: LightMap, footprint: LightFootprint, receivers: ReceiverRun, axes: SpreadRun):
+    """The spread of the blocker search of each lane: the penumbra that the nearest caster in the map would cast."""
     layers = receivers.layer
-    visible = receivers.visible
     nearest_depth = footprint.nearest_depth
     nearest = Floats(0.0)
     for k in range(LANES):
         nearest[k] = nearest_depth[wp.max(layers[k], 0)]
-    axes = texels_per_ratio_run(half_axes, receivers, cosine, sine)
-    search = penumbra_spread_run(light_map.resolution, footprint.is_point, receivers, axes, nearest)
-    lit_taps, blocker = compare_nearest_taps(views, light_map, receivers, search, blocker_taps)
-    all_taps = float(blocker_taps.shape[0])
-    found = int(0)
+    return penumbra_spread_run(light_map.resolution, footprint.is_point, receivers, axes, nearest)
+
+
+@wp.func
+def search_blockers_run(
+    views: LaneViews,
+    light_map: LightMap,
+    receivers: ReceiverRun,
+    search: SpreadRun,
+    taps: wp.array(dtype=wp.vec2),
+):
+    """``mean_blocker_depth`` of each lane."""
+    layers = receivers.layer
+    lit, depth, moving = compare_nearest_taps(views, light_map, receivers, search, taps)
+    hidden = Floats(0.0)
+    count = int(0)
+    all_taps = float(taps.shape[0])
     for k in range(LANES):
-        found += wp.where(layers[k] >= 0, wp.where(lit_taps[k] < all_taps, 1, 0), 0)
-        blocker[k] = blocker[k] / wp.max(all_taps - lit_taps[k], 1.0)
-    if found > 0:
-        spread = penumbra_spread_run(light_map.resolution, footprint.is_point, receivers, axes, blocker)
-        lit = penumbra_filter_run(views, light_map, receivers, spread, filter_taps, bilinear)
+        hidden[k] = wp.where(layers[k] >= 0, all_taps - lit[k], 0.0)
+        depth[k] = wp.where(hidden[k] > 0.0, depth[k], 0.0) / wp.max(hidden[k], 1.0)
+        count += wp.where(hidden[k] > 0.0, 1, 0)
+    out = BlockerRun()
+    out.count = count
+    out.hidden = hidden
+    out.depth = depth
+    out.moving = moving
+    return out
+
+
+@wp.func
+def filter_behind_blockers_run(
+    views: LaneViews,
+    light_map: LightMap,
+    footprint: LightFootprint,
+    receivers: ReceiverRun,
+    axes: SpreadRun,
+    blockers: BlockerRun,
+    count: int,
+    taps: wp.array(dtype=wp.vec2),
+    bilinear: int,
+):
+    """``penumbra_filter`` as wide as the mean blocker's penumbra, where there is one; the others' visibility.
+
+    Without lanes that want it (``count`` = 0) none is filtered.
+    """
+    visible = receivers.visible
+    if count > 0:
+        hidden = blockers.hidden
+        spread = penumbra_spread_run(light_map.resolution, footprint.is_point, receivers, axes, blockers.depth)
+        lit = penumbra_filter_run(views, light_map, receivers, spread, taps, bilinear)
         for k in range(LANES):
-            filtered = wp.where(layers[k] >= 0, wp.where(lit_taps[k] < all_taps, 1, 0), 0)
-            visible[k] = wp.where(filtered != 0, lit[k], visible[k])
+            visible[k] = wp.where(hidden[k] > 0.0, lit[k], visible[k])
     return visible
 
 

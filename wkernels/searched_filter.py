@@ -152,7 +152,7 @@ def filter_undecided_lanes(
         if searched.search_taps.shape[0] > 0:
             spread.xx = Floats(searched.search_radius)
             spread.yy = Floats(searched.search_radius)
-            lit_taps, _hidden = compare_nearest_taps(views, light_map, receivers, spread, searched.search_taps)
+            lit_taps, _hidden, _moving = compare_nearest_taps(views, light_map, receivers, spread, searched.search_taps)
             count = float(searched.search_taps.shape[0])
             undecided = int(0)
             for k in range(LANES):

@@ -1,25 +1,32 @@
 """``shadow_buffer_update`` for a run of pixels at a time; see ``receiver_lanes.py`` for how such code is written.
 
 The lanes do what nearly every pixel needs: the hard test, the history's four texels each with its depth test, the
-sums, the error and the filter's width. What few pixels need is left to the plain function, one pixel at a time: a start
-that searches, the end of a moving caster's shadow, surfaces whose motion is followed.
+sums, the error and the filter's width; and in runs with new pixels their start. What few pixels need is left to the
+plain function, one pixel at a time: the end of a moving caster's shadow, surfaces whose motion is followed.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from wkernels.comparison_lanes import first_texels
+from wkernels.comparison_lanes import SpreadRun, first_texels
 from wkernels.filtering import NEAREST_BLOCKER, LightFootprint
+from wkernels.filtering_lanes import (
+    filter_behind_blockers_run,
+    search_blockers_run,
+    search_spread_run,
+    texels_per_ratio_run,
+)
 from wkernels.gbuffer import GBuffer
 from wkernels.history_lanes import HistoryRun, PointRun, fetch_run, place_run, points_of_run
 from wkernels.lanes import LANES, Floats, Ints
 from wkernels.layer_lanes import to_layers
 from wkernels.light_map import LightMap
-from wkernels.receiver_lanes import LaneViews, locate_run
+from wkernels.receiver_lanes import LaneViews, ReceiverRun, locate_run
 from wkernels.shadow_buffer_update import (
     DISOCCLUDE,
     FULL_WIDTH_ERROR,
+    START_PCSS,
     START_SAMPLE,
     UpdateSettings,
     update_pixel,
@@ -44,6 +51,55 @@ def depth_in_light(light_map: LightMap, points: PointRun):
     return out
 
 
+@wp.struct
+class StartRun:
+    """What a start that searches finds for each lane; of use only in lanes with a receiver."""
+
+    tau: Floats  # hidden share of the light by START_PCSS; else not of use
+    blocker_rise: Floats  # of the mean blocker, 0 without
+    moves: Ints  # taps that a moving caster hides
+
+
+@wp.func
+def start_run(
+    views: LaneViews,
+    light_map: LightMap,
+    footprint: LightFootprint,
+    half_axes: wp.array(dtype=float),
+    receivers: ReceiverRun,
+    starts: Ints,
+    settings: UpdateSettings,
+):
+    """The blocker search of each lane, and with START_PCSS its filter, for the sake of those that start (1)."""
+    plane = receivers.rise
+    axes = SpreadRun()
+    search = SpreadRun()
+    if settings.start == START_PCSS:
+        axes = texels_per_ratio_run(half_axes, receivers, Floats(1.0), Floats(0.0))
+        search = search_spread_run(light_map, footprint, receivers, axes)
+    else:
+        search.xx = Floats(settings.search_radius)
+        search.yy = Floats(settings.search_radius)
+    blockers = search_blockers_run(views, light_map, receivers, search, settings.blocker_taps)
+    hidden = blockers.hidden
+    mean_depth = blockers.depth
+    rise = Floats(0.0)
+    filtered = int(0)
+    for k in range(LANES):
+        found = wp.where(hidden[k] > 0.0, 1, 0)
+        filtered += found * starts[k]
+        own = wp.where(found != 0, plane[k], 1.0)
+        rise[k] = wp.where(found != 0, wp.clamp(1.0 - mean_depth[k] / own, 0.0, 1.0), 0.0)
+    out = StartRun()
+    out.blocker_rise = rise
+    out.moves = blockers.moving
+    if settings.start == START_PCSS:
+        out.tau = Floats(1.0) - filter_behind_blockers_run(
+            views, light_map, footprint, receivers, axes, blockers, filtered, settings.filter_taps, 0
+        )
+    return out
+
+
 @wp.kernel
 def update_shadow_buffer_lanes(
     first: int,
@@ -53,6 +109,7 @@ def update_shadow_buffer_lanes(
     gbuffer: GBuffer,
     light_map: LightMap,
     footprint: LightFootprint,
+    half_axes: wp.array(dtype=float),
     settings: UpdateSettings,
     previous_view: View,
     previous: wp.array2d(dtype=wp.vec4),
@@ -112,6 +169,32 @@ def update_shadow_buffer_lanes(
     on_mover = points.moves
     alone = Ints(0)  # pixels for the plain function
     alone_count = int(0)
+    searches = wp.where(settings.start != START_SAMPLE, 1, 0)
+    follows = wp.where(settings.followed_samples > 0.0, 1, 0)
+    is_new = Ints(0)
+    starts = Ints(0)
+    starting = int(0)
+    for k in range(LANES):
+        alone[k] = of_mover[k] | (on_mover[k] * follows)
+        alone_count += alone[k]
+        is_new[k] = wp.where(n[k] <= 0.0, receives[k] * searches * (1 - alone[k]), 0)
+        starts[k] = wp.where(layers[k] >= 0, is_new[k], 0)
+        starting += starts[k]
+    if starting > 0:
+        start = start_run(views, light_map, footprint, half_axes, receivers, starts, settings)
+        start_tau = start.tau
+        start_rise = start.blocker_rise
+        start_moves = start.moves
+        estimated = wp.where(settings.start == START_PCSS, 1, 0)
+        tagged_too = settings.has_movers
+        for k in range(LANES):
+            tau[k] = wp.where((starts[k] & estimated) != 0, start_tau[k], tau[k])
+            # the last frame's mean blocker is that of sums which are gone, and this test is among the taps
+            rises[k] = wp.where(starts[k] != 0, start_rise[k], rises[k])
+            new_rise[k] = wp.where(starts[k] != 0, 0.0, new_rise[k])
+            met = wp.where(start_moves[k] > 0, starts[k] * tagged_too, 0)
+            moves[k] = moves[k] | met
+
     smoothed = int(0)
     psi = Floats(0.0)
     error = Floats(0.0)
@@ -119,27 +202,28 @@ def update_shadow_buffer_lanes(
     counts_tests = settings.counts_tests
     weight = settings.weight
     limit = settings.storage.limit
-    searches = wp.where(settings.start != START_SAMPLE, 1, 0)
-    follows = wp.where(settings.followed_samples > 0.0, 1, 0)
+    estimates = wp.where(settings.start == START_PCSS, 1, 0)
+    start_weight = settings.start_weight
+    smooths = settings.smooths
+    uncertain = Ints(0)
     threshold = wp.where(settings.smooths != 0, settings.error_threshold, 2.0)  # no error is larger than 1
     least_samples = wp.where(settings.smooths != 0, settings.least_samples, 0.0)
     for k in range(LANES):
-        start = wp.where(n[k] <= 0.0, receives[k] * searches, 0)
-        alone[k] = start | of_mover[k] | (on_mover[k] * follows)
-        alone_count += alone[k]
         known = wp.where(counts_tests != 0, n[k], rho[k]) + first_blockers
         refined = wp.where(rises[k] > 0.0, (new_rise[k] + rises[k] * known) / (known + 1.0), new_rise[k])
         rises[k] = wp.where(new_rise[k] > 0.0, refined, rises[k])
         scale = wp.where(n[k] + weight > limit, 0.5, 1.0)
-        rho[k] = scale * rho[k] + weight * tau[k]
-        n[k] = scale * n[k] + weight
+        estimated = is_new[k] * estimates
+        rho[k] = wp.where(estimated != 0, start_weight * tau[k], scale * rho[k] + weight * tau[k])
+        n[k] = wp.where(estimated != 0, start_weight, scale * n[k] + weight)
         share = wp.clamp(rho[k] / n[k], 0.0, 1.0)
         variance = wp.max(share * (1.0 - share), 0.0) / wp.max(n[k] - 1.0, 0.5)
         deviation = wp.sqrt(wp.where(n[k] > 1.5, variance, 1.0))
         psi[k] = wp.where(receives[k] != 0, share, 0.0)
         error[k] = wp.where(receives[k] != 0, deviation, 0.0)
-        uncertain = wp.where(error[k] > threshold, receives[k], wp.where(n[k] < least_samples, receives[k], 0))
-        smoothed += wp.where(rises[k] > 0.0, uncertain, 0)
+        few = wp.where(n[k] < least_samples, receives[k], estimated * smooths)
+        uncertain[k] = wp.where(error[k] > threshold, receives[k], few) * wp.where(rises[k] > 0.0, 1, 0)
+        smoothed += uncertain[k]
 
     half_width = Floats(0.0)
     eye_depths = points.depth
@@ -152,6 +236,7 @@ def update_shadow_buffer_lanes(
         is_point = footprint.is_point
         size = settings.half_widths * settings.light_size
         narrows = settings.narrows
+        stores_smoothed = settings.stores_smoothed
         for k in range(LANES):
             blocker = light_depth[k] * (1.0 - rises[k])
             behind = wp.max(light_depth[k] - blocker, 0.0)
@@ -162,9 +247,8 @@ def update_shadow_buffer_lanes(
             s_z = base_z + eye_depths[k] * along_z
             pixels = size * ratio / wp.max(wp.sqrt(s_x * s_x + s_y * s_y + s_z * s_z), 1.0e-30)
             narrow = wp.where(narrows != 0, wp.min(1.0, error[k] / FULL_WIDTH_ERROR), 1.0)
-            uncertain = wp.where(error[k] > threshold, receives[k], wp.where(n[k] < least_samples, receives[k], 0))
-            asks = wp.where(rises[k] > 0.0, uncertain, 0)
-            half_width[k] = wp.where(asks != 0, pixels * narrow, 0.0)
+            turned = wp.where(stores_smoothed != 0, wp.where(is_new[k] != 0, -1.0, 1.0), 1.0)
+            half_width[k] = wp.where(uncertain[k] != 0, turned * pixels * narrow, 0.0)
 
     far = gbuffer.view.far
     drops = wp.where(settings.movers == DISOCCLUDE, 1, 0)

@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from wkernels.filtering import pull_footprint
+from wkernels.filtering_lanes import flat_half_axes
 from wkernels.frame import Session
 from wkernels.gbuffer import PADDING, GBuffer
 from wkernels.history import History
@@ -109,14 +110,16 @@ def add_sample(frame: Session, step: ShadowStep, settings: UpdateSettings, p: St
     )
     gbuffer, history, shape = step.gbuffer, step.history, step.psi.shape
     with frame.timed("shadow buffer"):
-        inputs = [gbuffer, light_map, pull_footprint(frame, light_map), settings]
-        inputs += [history.previous_view or gbuffer.view, history.previous]
+        footprint = pull_footprint(frame, light_map)
+        maps = [gbuffer, light_map, footprint]
+        inputs = [settings, history.previous_view or gbuffer.view, history.previous]
         outputs = [history.current, step.psi, step.error, step.half_width]
         in_lanes = p.buffer == "float32" and p.history != "linear"
         if uses_lanes(frame.device) and in_lanes:
             flat = [lane_views(gbuffer, light_map), runs_of(gbuffer.depth, Floats, PADDING)]
             flat.append(flat_floats(history.previous))
+            inputs.insert(0, flat_half_axes(footprint))
             runs = (shape[0], runs_per_row(shape[1]))
-            frame.launch(update_shadow_buffer_lanes, runs, [*flat, *inputs], outputs)
+            frame.launch(update_shadow_buffer_lanes, runs, [*flat, *maps, *inputs], outputs)
         else:
-            frame.launch(UPDATE[TEXEL_TYPES[p.buffer]], shape, inputs, outputs)
+            frame.launch(UPDATE[TEXEL_TYPES[p.buffer]], shape, [*maps, *inputs], outputs)
