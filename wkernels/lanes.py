@@ -29,6 +29,26 @@ def flat_floats(values: wp.array) -> wp.array:
     return wp.array(ptr=values.ptr, dtype=float, shape=values.capacity // 4, device="cpu")
 
 
+def flat_pairs(values: wp.array) -> wp.array:
+    """Pairs of float32 components as one row of int64, which is fetched at the cost of one; a view, as above.
+
+    ``first_of`` and ``second_of`` take an entry apart.
+    """
+    return wp.array(ptr=values.ptr, dtype=wp.int64, shape=values.capacity // 8, device="cpu")
+
+
+@wp.func
+def first_of(pair: wp.int64):
+    """The first float of an entry of ``flat_pairs``."""
+    return wp.cast(wp.int32(pair), wp.float32)
+
+
+@wp.func
+def second_of(pair: wp.int64):
+    """The second float of an entry of ``flat_pairs``."""
+    return wp.cast(wp.int32(pair >> wp.int64(32)), wp.float32)
+
+
 def runs_of(values: wp.array, dtype: type, padding: int = 0) -> wp.array:
     """Overlapping runs of an array: entry i is the 16 elements from the i-th component on, loaded at once.
 

@@ -10,9 +10,7 @@ from typing import Any
 import warp as wp
 
 from wkernels.estimators import sampling_weight
-from wkernels.gbuffer import GBuffer
-from wkernels.geometry import RECEIVES
-from wkernels.lanes import LANES, Floats
+from wkernels.lanes import LANES, Floats, first_of, second_of
 from wkernels.neighbourhood_filter import add_neighbours
 from wkernels.shadow_buffer import TEXEL_TYPES, put
 
@@ -49,8 +47,7 @@ def store_start(texels: wp.array2d(dtype=Any), y: int, x: int, psi: float, weigh
 @wp.kernel
 def blend_neighbourhood(
     first: int,
-    gbuffer: GBuffer,
-    psi: wp.array2d(dtype=float),
+    psi_depth: wp.array2d(dtype=wp.vec2),
     error: wp.array2d(dtype=float),
     half_width_px: wp.array2d(dtype=float),
     taps: wp.array(dtype=wp.vec2),
@@ -62,8 +59,7 @@ def blend_neighbourhood(
 
     Args:
         first: Tile offset.
-        gbuffer: Receivers, (H, W).
-        psi: Hidden share of the light, (H, W), 0 to 1.
+        psi_depth: Hidden share of the light, 0 to 1, and linear eye depth, (H, W); (0, 0) where nothing receives.
         error: Its standard error.
         half_width_px: Radius of the neighbourhood in pixels, less than 1/2 for none; negative where what is shown is
             stored as the pixel's start.
@@ -74,10 +70,10 @@ def blend_neighbourhood(
     """
     row, x = wp.tid()
     y = first + row
-    shown = psi[y, x]
+    shown = psi_depth[y, x][0]
     half_width = wp.abs(half_width_px[y, x])
     if half_width >= 0.5:
-        sums = add_neighbours(x, y, gbuffer, psi, half_width, taps, settings.depth_range, wp.vec2(0.0, 0.0))
+        sums = add_neighbours(x, y, psi_depth, half_width, taps, settings.depth_range, wp.vec2(0.0, 0.0))
         blur = sums[0] / wp.max(sums[1], 1.0)
         if sums[1] > 0.0 and (blur > 0.0 or settings.rejects_lit == 0):
             if half_width_px[y, x] < 0.0:
@@ -96,9 +92,7 @@ BLEND = {texel: wp.overload(blend_neighbourhood, {"texels": wp.array2d(dtype=tex
 @wp.kernel
 def blend_neighbourhood_lanes(
     first: int,
-    flags: wp.array(dtype=int),
-    depth: wp.array(dtype=float),
-    flat_psi: wp.array(dtype=float),
+    flat_psi_depth: wp.array(dtype=wp.int64),
     flat_error: wp.array(dtype=float),
     flat_half_width: wp.array(dtype=float),
     flat_texels: wp.array(dtype=float),
@@ -107,7 +101,7 @@ def blend_neighbourhood_lanes(
     texels: wp.array2d(dtype=wp.vec4),
     visibility_out: wp.array2d(dtype=float),
 ):
-    """``blend_neighbourhood`` of a run of pixels, for float32 texels; the images flat (H W,), texels (4 H W,)."""
+    """``blend_neighbourhood`` of a run of pixels, for float32 texels; the images flat."""
     row, run = wp.tid()
     y = first + row
     x0 = run * LANES
@@ -123,9 +117,10 @@ def blend_neighbourhood_lanes(
     for k in range(LANES):
         at = begin + wp.min(x0 + k, width - 1)
         asked = flat_half_width[at]
-        shown[k] = flat_psi[at]
+        pair = flat_psi_depth[at]
+        shown[k] = first_of(pair)
+        own[k] = second_of(pair)
         half[k] = wp.abs(asked)
-        own[k] = depth[at]
         wide += wp.where(half[k] >= 0.5, 1, 0)
         starts += wp.where(asked <= -0.5, 1, 0)
     if wide > 0:
@@ -141,10 +136,11 @@ def blend_neighbourhood_lanes(
                 in_row = wp.where(column >= 0, wp.where(column < width, 1, 0), 0)
                 inside = wp.where(line >= 0, wp.where(line < height, in_row, 0), 0)
                 at = wp.where(inside != 0, line * width + column, begin)
-                receives = wp.where((flags[at] & RECEIVES) != 0, inside, 0)
-                close = wp.where(wp.abs(depth[at] - own[k]) < depth_range * own[k], receives, 0)
+                pair = flat_psi_depth[at]
+                receives = wp.where(second_of(pair) > 0.0, inside, 0)
+                close = wp.where(wp.abs(second_of(pair) - own[k]) < depth_range * own[k], receives, 0)
                 share = wp.where(half[k] >= 0.5, float(close), 0.0)
-                total[k] = total[k] + share * flat_psi[at]
+                total[k] = total[k] + share * first_of(pair)
                 count[k] = count[k] + share
         least_error = settings.least_error
         range_ = wp.max(settings.largest_error - least_error, 1.0e-20)

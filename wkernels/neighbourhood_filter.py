@@ -11,9 +11,7 @@ import warp as wp
 from wkernels.disc_sets import poisson_disc_taps
 from wkernels.errors import InputError
 from wkernels.frame import Session
-from wkernels.gbuffer import GBuffer
-from wkernels.geometry import RECEIVES
-from wkernels.lanes import LANES, Floats
+from wkernels.lanes import LANES, Floats, first_of, flat_floats, flat_pairs, runs_per_row, second_of, uses_lanes
 from wkernels.views import View
 
 
@@ -59,8 +57,7 @@ def pixels_per_length(view: View, depth: float) -> float:
 def add_neighbours(
     x: int,
     y: int,
-    gbuffer: GBuffer,
-    psi: wp.array2d(dtype=float),
+    psi_depth: wp.array2d(dtype=wp.vec2),
     half_width_px: float,
     taps: wp.array(dtype=wp.vec2),
     depth_range: float,
@@ -69,23 +66,22 @@ def add_neighbours(
     """(Sum of psi, number) with the pixels added whose taps fall on a receiver at about the depth of pixel (x, y)."""
     total = sums[0]
     count = sums[1]
-    depth = gbuffer.depth[y, x]
+    depth = psi_depth[y, x][1]
     for i in range(taps.shape[0]):
         column = int(wp.round(float(x) + half_width_px * taps[i][0]))
         line = int(wp.round(float(y) + half_width_px * taps[i][1]))
-        if column >= 0 and line >= 0 and column < psi.shape[1] and line < psi.shape[0]:
-            if (gbuffer.flags[line, column] & RECEIVES) != 0:
-                if wp.abs(gbuffer.depth[line, column] - depth) < depth_range * depth:
-                    total += psi[line, column]
-                    count += 1.0
+        if column >= 0 and line >= 0 and column < psi_depth.shape[1] and line < psi_depth.shape[0]:
+            held = psi_depth[line, column]
+            if held[1] > 0.0 and wp.abs(held[1] - depth) < depth_range * depth:
+                total += held[0]
+                count += 1.0
     return wp.vec2(total, count)
 
 
 @wp.kernel
 def filter_neighbourhood(
     first: int,
-    gbuffer: GBuffer,
-    psi: wp.array2d(dtype=float),
+    psi_depth: wp.array2d(dtype=wp.vec2),
     half_width_px: wp.array2d(dtype=float),
     taps: wp.array(dtype=wp.vec2),
     depth_range: float,
@@ -97,8 +93,7 @@ def filter_neighbourhood(
 
     Args:
         first: Tile offset.
-        gbuffer: Receivers, (H, W).
-        psi: Hidden share of the light, (H, W), 0 to 1.
+        psi_depth: Hidden share of the light, 0 to 1, and linear eye depth, (H, W); (0, 0) where nothing receives.
         half_width_px: Half the filter's width in pixels; less than 1/2 for none.
         taps: Offsets in the unit disc, vec2 (n,), ``pull_opposite_taps``.
         depth_range: Largest difference of linear eye depth, share of the pixel's own.
@@ -106,10 +101,10 @@ def filter_neighbourhood(
     """
     row, x = wp.tid()
     y = first + row
-    total = psi[y, x]
+    total = psi_depth[y, x][0]
     half_width = half_width_px[y, x]
     if half_width >= 0.5:
-        sums = add_neighbours(x, y, gbuffer, psi, half_width, taps, depth_range, wp.vec2(total, 1.0))
+        sums = add_neighbours(x, y, psi_depth, half_width, taps, depth_range, wp.vec2(total, 1.0))
         total = sums[0] / sums[1]
     visibility_out[y, x] = 1.0 - total
 
@@ -117,15 +112,13 @@ def filter_neighbourhood(
 @wp.kernel
 def filter_neighbourhood_lanes(
     first: int,
-    flags: wp.array(dtype=int),
-    depth: wp.array(dtype=float),
-    psi: wp.array(dtype=float),
+    psi_depth: wp.array(dtype=wp.int64),
     half_width_px: wp.array(dtype=float),
     taps: wp.array(dtype=wp.vec2),
     depth_range: float,
     visibility_out: wp.array2d(dtype=float),
 ):
-    """``filter_neighbourhood`` of a run of pixels; the images flat (H W,)."""
+    """``filter_neighbourhood`` of a run of pixels; the images flat (H W,), ``flat_pairs`` and ``flat_floats``."""
     row, run = wp.tid()
     y = first + row
     x0 = run * LANES
@@ -138,9 +131,10 @@ def filter_neighbourhood_lanes(
     wide = int(0)
     for k in range(LANES):
         at = begin + wp.min(x0 + k, width - 1)
-        total[k] = psi[at]
+        pair = psi_depth[at]
+        total[k] = first_of(pair)
+        own[k] = second_of(pair)
         half[k] = half_width_px[at]
-        own[k] = depth[at]
         wide += wp.where(half[k] >= 0.5, 1, 0)
     if wide > 0:
         count = Floats(1.0)
@@ -154,12 +148,32 @@ def filter_neighbourhood_lanes(
                 in_row = wp.where(column >= 0, wp.where(column < width, 1, 0), 0)
                 inside = wp.where(line >= 0, wp.where(line < height, in_row, 0), 0)
                 at = wp.where(inside != 0, line * width + column, begin)
-                receives = wp.where((flags[at] & RECEIVES) != 0, inside, 0)
-                close = wp.where(wp.abs(depth[at] - own[k]) < depth_range * own[k], receives, 0)
+                pair = psi_depth[at]
+                receives = wp.where(second_of(pair) > 0.0, inside, 0)
+                close = wp.where(wp.abs(second_of(pair) - own[k]) < depth_range * own[k], receives, 0)
                 share = wp.where(half[k] >= 0.5, float(close), 0.0)
-                total[k] = total[k] + share * psi[at]
+                total[k] = total[k] + share * first_of(pair)
                 count[k] = count[k] + share
         for k in range(LANES):
             total[k] = total[k] / count[k]
     for k in range(wp.min(LANES, width - x0)):
         visibility_out[y, x0 + k] = 1.0 - total[k]
+
+
+def filter_image(
+    frame: Session,
+    psi_depth: wp.array,
+    half_width_px: wp.array,
+    taps: int,
+    depth_range: float,
+    visibility_out: wp.array,
+) -> None:
+    """Launches ``filter_neighbourhood``, see there, with so many opposite taps."""
+    shape = visibility_out.shape
+    options = [pull_opposite_taps(frame, taps), depth_range]
+    if uses_lanes(frame.device):
+        images = [flat_pairs(psi_depth), flat_floats(half_width_px)]
+        runs = (shape[0], runs_per_row(shape[1]))
+        frame.launch(filter_neighbourhood_lanes, runs, [*images, *options], [visibility_out])
+    else:
+        frame.launch(filter_neighbourhood, shape, [psi_depth, half_width_px, *options], [visibility_out])

@@ -114,7 +114,7 @@ def update_shadow_buffer_lanes(
     previous_view: View,
     previous: wp.array2d(dtype=wp.vec4),
     current_out: wp.array2d(dtype=wp.vec4),
-    psi_out: wp.array2d(dtype=float),
+    psi_depth_out: wp.array2d(dtype=wp.vec2),
     error_out: wp.array2d(dtype=float),
     half_width_out: wp.array2d(dtype=float),
 ):
@@ -122,7 +122,7 @@ def update_shadow_buffer_lanes(
     row, column = wp.tid()
     y = first + row
     x0 = column * LANES
-    held = wp.min(LANES, psi_out.shape[1] - x0)
+    held = wp.min(LANES, psi_depth_out.shape[1] - x0)
     points = points_of_run(views, eye_depth, x0, y)
     receives = points.receives
     receivers = locate_run(views, light_map, settings.bias, x0, y)
@@ -257,7 +257,7 @@ def update_shadow_buffer_lanes(
         tag = wp.where(wp.where(keeps > 0.0, moves[k], 0) != 0, -1.0, 1.0)
         rise = rises[k] * float(receives[k])
         current_out[y, x0 + k] = wp.vec4(rho[k] * keeps, n[k] * keeps, tag * eye_depths[k] / far, rise)
-        psi_out[y, x0 + k] = psi[k]
+        psi_depth_out[y, x0 + k] = wp.vec2(psi[k], eye_depths[k])
         error_out[y, x0 + k] = error[k]
         half_width_out[y, x0 + k] = half_width[k]
     if alone_count > 0:
@@ -273,7 +273,7 @@ def update_shadow_buffer_lanes(
                     previous_view,
                     previous,
                     current_out,
-                    psi_out,
+                    psi_depth_out,
                     error_out,
                     half_width_out,
                 )

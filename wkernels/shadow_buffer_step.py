@@ -58,14 +58,14 @@ class ShadowStep:
     Attributes:
         gbuffer: What receives, overscanned.
         history: The shadow buffer; ``current`` is this frame's.
-        psi: Hidden share of the light, float32.
+        psi_depth: Hidden share of the light and linear eye depth, vec2; (0, 0) where nothing receives.
         error: Its standard error.
         half_width: The neighbourhood that each pixel asks for, ``update_shadow_buffer``.
     """
 
     gbuffer: GBuffer
     history: History
-    psi: wp.array
+    psi_depth: wp.array
     error: wp.array
     half_width: wp.array
 
@@ -77,9 +77,8 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
     history = frame.history(
         "shadow buffer", lambda: wp.zeros(shape, dtype=texel, device=frame.device), frame.margin(p.overscan)
     )
-    psi, error, half_width = (
-        frame.buffer(name, shape, wp.float32) for name in ("psi", "standard error", "half filter width")
-    )
+    psi_depth = frame.buffer("psi and depth", shape, wp.vec2)
+    error, half_width = (frame.buffer(name, shape, wp.float32) for name in ("standard error", "half filter width"))
     out = UpdateSettings()
     out.bias, out.storage = p.device_bias, storage_of(p.buffer, p.cap)
     out.light_size = 2.0 * np.tan(0.5 * frame.light.size) if frame.light.is_directional else frame.light.size
@@ -94,7 +93,7 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
     if p.mover_surfaces == "own_motion" and frame.geometry.moving and history.previous_index is not None:
         motion = pull_mesh_motion(frame, history.previous_index)
         out.motion, out.normal_motion, out.followed_samples = motion.points, motion.normals, p.mover_samples
-    return ShadowStep(gbuffer, history, psi, error, half_width), out
+    return ShadowStep(gbuffer, history, psi_depth, error, half_width), out
 
 
 def add_sample(frame: Session, step: ShadowStep, settings: UpdateSettings, p: StepParams) -> None:
@@ -108,12 +107,12 @@ def add_sample(frame: Session, step: ShadowStep, settings: UpdateSettings, p: St
         cull=p.cull,
         tag_moving_casters=bool(settings.has_movers),
     )
-    gbuffer, history, shape = step.gbuffer, step.history, step.psi.shape
+    gbuffer, history, shape = step.gbuffer, step.history, step.error.shape
     with frame.timed("shadow buffer"):
         footprint = pull_footprint(frame, light_map)
         maps = [gbuffer, light_map, footprint]
         inputs = [settings, history.previous_view or gbuffer.view, history.previous]
-        outputs = [history.current, step.psi, step.error, step.half_width]
+        outputs = [history.current, step.psi_depth, step.error, step.half_width]
         in_lanes = p.buffer == "float32" and p.history != "linear"
         if uses_lanes(frame.device) and in_lanes:
             flat = [lane_views(gbuffer, light_map), runs_of(gbuffer.depth, Floats, PADDING)]

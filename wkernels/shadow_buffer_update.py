@@ -138,7 +138,7 @@ def update_pixel(
     previous_view: View,
     previous: wp.array2d(dtype=Any),
     current_out: wp.array2d(dtype=Any),
-    psi_out: wp.array2d(dtype=float),
+    psi_depth_out: wp.array2d(dtype=wp.vec2),
     error_out: wp.array2d(dtype=float),
     half_width_out: wp.array2d(dtype=float),
 ):
@@ -227,7 +227,7 @@ def update_pixel(
                 record = ShadowRecord()
                 record.depth = gbuffer.depth[y, x]
     write_record(current_out, y, x, record, gbuffer.view.far)
-    psi_out[y, x] = psi
+    psi_depth_out[y, x] = wp.vec2(psi, record.depth)
     error_out[y, x] = error
     half_width_out[y, x] = half_width
 
@@ -242,7 +242,7 @@ def update_shadow_buffer(
     previous_view: View,
     previous: wp.array2d(dtype=Any),
     current_out: wp.array2d(dtype=Any),
-    psi_out: wp.array2d(dtype=float),
+    psi_depth_out: wp.array2d(dtype=wp.vec2),
     error_out: wp.array2d(dtype=float),
     half_width_out: wp.array2d(dtype=float),
 ):
@@ -257,7 +257,7 @@ def update_shadow_buffer(
         previous_view: The eye's view that ``previous`` was written for.
         previous: The last frame's texels (H, W), meaningless without history.
         current_out: This frame's.
-        psi_out: Hidden share of the light, (H, W).
+        psi_depth_out: Hidden share of the light and linear eye depth, (H, W); (0, 0) where nothing receives.
         error_out: Its standard error.
         half_width_out: Half the width in pixels of the filter that the pixel asks for; 0 for none. Negative where the
             smoothed value is to be stored as the pixel's start.
@@ -273,7 +273,7 @@ def update_shadow_buffer(
         previous_view,
         previous,
         current_out,
-        psi_out,
+        psi_depth_out,
         error_out,
         half_width_out,
     )

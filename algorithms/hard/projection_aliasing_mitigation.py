@@ -24,10 +24,12 @@ import warp as wp
 from algorithms.technique import Limit, MapParams, Technique, setting
 from wkernels.comparison_lanes import compare_nearest_run
 from wkernels.frame import Session as Frame
-from wkernels.gbuffer import GBuffer
-from wkernels.lanes import LANES, runs_per_row, uses_lanes
+from wkernels.gbuffer import PADDING, GBuffer
+from wkernels.geometry import RECEIVES
+from wkernels.history_lanes import points_of_run
+from wkernels.lanes import LANES, Floats, runs_of, runs_per_row, uses_lanes
 from wkernels.light_map import Bias, LightMap, compare_nearest, to_light
-from wkernels.neighbourhood_filter import filter_neighbourhood, pull_opposite_taps
+from wkernels.neighbourhood_filter import filter_image
 from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.receivers import receiver_of_pixel
 
@@ -35,27 +37,38 @@ ANY_DEPTH = 1e30  # as a share of the pixel's own
 
 
 @wp.kernel
-def hide_pixels(first: int, gbuffer: GBuffer, light_map: LightMap, bias: Bias, psi_out: wp.array2d(dtype=float)):
-    """One depth comparison per pixel; 1 where it is in shadow."""
+def hide_pixels(
+    first: int, gbuffer: GBuffer, light_map: LightMap, bias: Bias, psi_depth_out: wp.array2d(dtype=wp.vec2)
+):
+    """One depth comparison per pixel: (1 where it is in shadow, linear eye depth); (0, 0) where nothing receives."""
     row, x = wp.tid()
     y = first + row
     receiver = receiver_of_pixel(gbuffer, light_map, bias, y, x)
     visible = receiver.visible
     if receiver.layer >= 0:
         visible = compare_nearest(light_map, receiver)
-    psi_out[y, x] = 1.0 - visible
+    depth = wp.where((gbuffer.flags[y, x] & RECEIVES) != 0, gbuffer.depth[y, x], 0.0)
+    psi_depth_out[y, x] = wp.vec2(1.0 - visible, depth)
 
 
 @wp.kernel
-def hide_pixels_lanes(first: int, views: LaneViews, light_map: LightMap, bias: Bias, psi_out: wp.array2d(dtype=float)):
+def hide_pixels_lanes(
+    first: int,
+    views: LaneViews,
+    eye_depth: wp.array(dtype=Floats),
+    light_map: LightMap,
+    bias: Bias,
+    psi_depth_out: wp.array2d(dtype=wp.vec2),
+):
     """``hide_pixels`` of a run of pixels."""
     row, column = wp.tid()
     y = first + row
     x0 = column * LANES
     receivers = locate_run(views, light_map, bias, x0, y)
     visible = compare_nearest_run(views, light_map, receivers)
-    for k in range(wp.min(LANES, psi_out.shape[1] - x0)):
-        psi_out[y, x0 + k] = 1.0 - visible[k]
+    depths = points_of_run(views, eye_depth, x0, y).depth
+    for k in range(wp.min(LANES, psi_depth_out.shape[1] - x0)):
+        psi_depth_out[y, x0 + k] = wp.vec2(1.0 - visible[k], depths[k])
 
 
 @wp.kernel
@@ -113,19 +126,19 @@ class ProjectionAliasingMitigation(Technique):
             return visibility
         p = self.params
         light_map = frame.light_map(p.resolution, cull=p.cull)
-        taps = pull_opposite_taps(frame, p.taps)
-        psi = frame.buffer("hidden", visibility.shape, wp.float32)
+        psi_depth = frame.buffer("psi and depth", visibility.shape, wp.vec2)
         width = frame.buffer("filter width", visibility.shape, wp.float32)
         with frame.timed("compare depth"):
             inputs = [light_map, p.device_bias]
             if uses_lanes(frame.device):
-                runs = (psi.shape[0], runs_per_row(psi.shape[1]))
-                frame.launch(hide_pixels_lanes, runs, [lane_views(gbuffer, light_map), *inputs], [psi])
+                runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
+                images = [lane_views(gbuffer, light_map), runs_of(gbuffer.depth, Floats, PADDING)]
+                frame.launch(hide_pixels_lanes, runs, [*images, *inputs], [psi_depth])
             else:
-                frame.launch(hide_pixels, psi.shape, [gbuffer, *inputs], [psi])
+                frame.launch(hide_pixels, visibility.shape, [gbuffer, *inputs], [psi_depth])
         with frame.timed("smooth"):
             inputs = [gbuffer, wp.vec4(*frame.light.centre), p.cosine, p.half_width]
             frame.launch(choose_width, width.shape, inputs, [width])
-            inputs = [gbuffer, psi, width, taps, p.depth_range if p.depth_aware else ANY_DEPTH]
-            frame.launch(filter_neighbourhood, visibility.shape, inputs, [visibility])
+            depth_range = p.depth_range if p.depth_aware else ANY_DEPTH
+            filter_image(frame, psi_depth, width, p.taps, depth_range, visibility)
         return visibility

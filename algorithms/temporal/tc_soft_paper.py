@@ -46,8 +46,7 @@ from algorithms.shadow_buffer_params import ShadowBufferParams
 from algorithms.technique import Limit, Needs, Technique, setting
 from wkernels.filtering import check_tap_count, pull_taps
 from wkernels.frame import Session as Frame
-from wkernels.lanes import flat_floats, runs_per_row, uses_lanes
-from wkernels.neighbourhood_filter import filter_neighbourhood, filter_neighbourhood_lanes, pull_opposite_taps
+from wkernels.neighbourhood_filter import filter_image
 from wkernels.shadow_buffer_step import add_sample, begin_step
 from wkernels.shadow_buffer_update import START_PCSS, START_SAMPLE
 
@@ -154,12 +153,5 @@ class TcSoftPaper(Technique):
 
         # smoothed where that is still uncertain
         with frame.timed("neighbourhood filter"):
-            filtered = [step.psi, step.half_width]
-            options = [pull_opposite_taps(frame, p.taps), p.filter_depth_range]
-            if uses_lanes(frame.device):
-                images = [gbuffer.flags.flatten(), *(flat_floats(image) for image in (gbuffer.depth, *filtered))]
-                runs = (shape[0], runs_per_row(shape[1]))
-                frame.launch(filter_neighbourhood_lanes, runs, [*images, *options], [visibility])
-            else:
-                frame.launch(filter_neighbourhood, shape, [gbuffer, *filtered, *options], [visibility])
+            filter_image(frame, step.psi_depth, step.half_width, p.taps, p.filter_depth_range, visibility)
         return visibility

@@ -45,7 +45,7 @@ from algorithms.shadow_buffer_params import Movers, ShadowBufferParams
 from algorithms.technique import Limit, Needs, Technique, setting
 from wkernels.filtering import pull_taps
 from wkernels.frame import Session as Frame
-from wkernels.lanes import flat_floats, runs_per_row, uses_lanes
+from wkernels.lanes import flat_floats, flat_pairs, runs_per_row, uses_lanes
 from wkernels.neighbourhood_blend import BLEND, BlendSettings, blend_neighbourhood_lanes
 from wkernels.neighbourhood_filter import pull_opposite_taps
 from wkernels.shadow_buffer import TEXEL_TYPES
@@ -186,12 +186,11 @@ class TcSoftThesis(Technique):
         texels = step.history.current
         with frame.timed("neighbourhood blend"):
             taps = pull_opposite_taps(frame, p.taps) if p.kernel == "opposite" else pull_taps(frame, "poisson", p.taps)
-            images = [step.psi, step.error, step.half_width]
+            images = [step.error, step.half_width]
             if uses_lanes(frame.device) and p.buffer == "float32":
-                flat = [step.gbuffer.flags.flatten(), flat_floats(step.gbuffer.depth)]
-                flat += [flat_floats(image) for image in (*images, texels)]
+                flat = [flat_pairs(step.psi_depth), *(flat_floats(image) for image in (*images, texels))]
                 runs = (shape[0], runs_per_row(shape[1]))
                 frame.launch(blend_neighbourhood_lanes, runs, [*flat, taps, settings], [texels, visibility_out])
             else:
-                inputs = [step.gbuffer, *images, taps, settings]
+                inputs = [step.psi_depth, *images, taps, settings]
                 frame.launch(BLEND[TEXEL_TYPES[p.buffer]], shape, inputs, [texels, visibility_out])

@@ -15,7 +15,7 @@ from algorithms.composition import compose
 from algorithms.plugins import find
 from algorithms.technique import MapParams
 from experiments.scenes.loader import load_scene
-from wkernels import shadow_buffer_step
+from wkernels import neighbourhood_filter, shadow_buffer_step
 from wkernels.frame import Session
 from wkernels.gbuffer import GBuffer, is_back_lit
 from wkernels.geometry import RECEIVES, Geometry
@@ -288,7 +288,8 @@ def test_a_shadow_buffer_in_lanes_remembers_what_the_plain_one_does(
 ) -> None:
     """Along a path with movers, disocclusion and history at fractions of a pixel."""
     plugin = find(name)
-    modules = (sys.modules[plugin.__module__], shadow_buffer_step)
+    own_module = sys.modules[plugin.__module__]
+    modules = [neighbourhood_filter, shadow_buffer_step, *([own_module] if hasattr(own_module, "uses_lanes") else [])]
     loaded = load_scene(f"configs/scenes/{scene}.yaml")
     running = {lanes: session(loaded, 150, 84) for lanes in (False, True)}
     technique = plugin(plugin.Params(resolution=256, **params))

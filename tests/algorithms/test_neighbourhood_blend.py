@@ -9,9 +9,8 @@ import pytest
 import warp as wp
 from compare import assert_twin
 
-from wkernels.gbuffer import GBuffer, allocate_gbuffer
 from wkernels.geometry import RECEIVES
-from wkernels.lanes import flat_floats, runs_per_row, uses_lanes
+from wkernels.lanes import flat_floats, flat_pairs, runs_per_row, uses_lanes
 from wkernels.launch import launch
 from wkernels.neighbourhood_blend import BLEND, BlendSettings, blend_neighbourhood_lanes
 from wkernels.shadow_buffer import TEXEL_TYPES
@@ -65,22 +64,21 @@ def twin(held: dict[str, np.ndarray], rejects: bool) -> tuple[np.ndarray, np.nda
 
 
 def blend(held: dict[str, np.ndarray], rejects: bool, format: str, lanes: bool, device: str) -> tuple[Any, Any]:
-    gbuffer: GBuffer = allocate_gbuffer(SHAPE[1], SHAPE[0], device)
-    gbuffer.depth.assign(held["depth"])
-    gbuffer.flags.assign(held["flags"])
+    depth = np.where(held["flags"] != 0, held["depth"], np.float32(0.0))
+    packed = wp.array(np.stack([held["psi"], depth], axis=-1), dtype=wp.vec2, device=device)
     settings = BlendSettings()
     settings.depth_range, settings.least_error, settings.largest_error = RANGE, LEAST, LARGEST
     settings.least_samples, settings.start_weight, settings.rejects_lit = GATE, START, int(rejects)
     texels = wp.array(held["texels"].astype(np.float16 if format == "float16" else np.float32), dtype=TEXEL_TYPES[format], device=device)  # fmt: skip
-    arrays = [wp.array(held[name], dtype=float, device=device) for name in ("psi", "error", "width")]
+    arrays = [wp.array(held[name], dtype=float, device=device) for name in ("error", "width")]
     taps = wp.array(held["taps"], dtype=wp.vec2, device=device)
     out = wp.empty(SHAPE, dtype=float, device=device)
     if lanes:
-        flat = [gbuffer.flags.flatten(), *(flat_floats(a) for a in (gbuffer.depth, *arrays, texels))]
+        flat = [flat_pairs(packed), *(flat_floats(a) for a in (*arrays, texels))]
         runs = (SHAPE[0], runs_per_row(SHAPE[1]))
         launch(blend_neighbourhood_lanes, runs, [*flat, taps, settings], [texels, out], device=device, threads=2)
     else:
-        inputs = [gbuffer, *arrays, taps, settings]
+        inputs = [packed, *arrays, taps, settings]
         launch(BLEND[TEXEL_TYPES[format]], SHAPE, inputs, [texels, out], device=device, threads=2)
     return out.numpy(), texels.numpy().astype(float)
 

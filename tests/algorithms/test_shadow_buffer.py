@@ -12,7 +12,6 @@ from compare import assert_twin
 from wkernels.disc_sets import PUBLISHED_POISSON_16
 from wkernels.errors import InputError
 from wkernels.estimators import FLOAT16_LIMIT, add_test, hidden_share, share_variance, standard_error
-from wkernels.gbuffer import GBuffer, allocate_gbuffer
 from wkernels.geometry import RECEIVES
 from wkernels.launch import launch
 from wkernels.neighbourhood_filter import filter_neighbourhood, opposite_taps, pixels_per_length
@@ -281,11 +280,10 @@ def test_neighbourhood_filter_equals_its_twin(device: str) -> None:
     psi[flags == 0] = 0.0
     half_width[flags == 0] = 0.0
     taps = rng.uniform(-1.0, 1.0, (16, 2)).astype(np.float32)
-    gbuffer: GBuffer = allocate_gbuffer(shape[1], shape[0], device)
-    gbuffer.depth.assign(depth)
-    gbuffer.flags.assign(flags)
+    depth[flags == 0] = 0.0
     out = wp.empty(shape, dtype=float, device=device)
-    inputs: list[Any] = [gbuffer, wp.array(psi, device=device), wp.array(half_width, device=device)]
+    packed = wp.array(np.stack([psi, depth], axis=-1), dtype=wp.vec2, device=device)
+    inputs: list[Any] = [packed, wp.array(half_width, device=device)]
     inputs += [wp.array(taps, dtype=wp.vec2, device=device), depth_range]
     launch(filter_neighbourhood, shape, inputs, [out], device=device, threads=2)
 
@@ -310,11 +308,9 @@ def smooth_slanted_ground(taps: np.ndarray, device: str) -> tuple[np.ndarray, np
     shape = (60, 40)
     row = np.repeat(np.arange(60.0)[:, None], 40, axis=1)
     psi, depth = (row / 59.0).astype(np.float32), (10.0 - 0.05 * row).astype(np.float32)
-    gbuffer: GBuffer = allocate_gbuffer(shape[1], shape[0], device)
-    gbuffer.depth.assign(depth)
-    gbuffer.flags.fill_(int(RECEIVES))
     out = wp.empty(shape, dtype=float, device=device)
-    inputs: list[Any] = [gbuffer, wp.array(psi, device=device), wp.full(shape, 9.3, dtype=float, device=device)]
+    packed = wp.array(np.stack([psi, depth], axis=-1), dtype=wp.vec2, device=device)
+    inputs: list[Any] = [packed, wp.full(shape, 9.3, dtype=float, device=device)]
     inputs += [wp.array(taps, dtype=wp.vec2, device=device), 0.02]
     launch(filter_neighbourhood, shape, inputs, [out], device=device)
     middle = np.s_[15:-15, 15:-15]
