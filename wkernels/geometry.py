@@ -166,7 +166,7 @@ class Geometry:
         chosen = [i for i, mesh in enumerate(self.meshes) if mesh.casts and mesh.moving == moving and len(mesh.faces)]
         if not chosen:
             return self.points_ws, wp.empty(0, dtype=wp.int32, device=self.device)
-        region = slice(self._ranges[chosen[0]].start, self._ranges[chosen[-1]].stop)
+        region = slice(int(self._ranges[chosen[0]].start), int(self._ranges[chosen[-1]].stop))
         faces = [self.meshes[i].faces + (self._ranges[i].start - region.start) for i in chosen]
         indices = np.ascontiguousarray(np.concatenate(faces).ravel(), dtype=np.int32)
         return self.points_ws[region], wp.array(indices, dtype=wp.int32, device=self.device)

@@ -1,0 +1,153 @@
+"""One frame's step of a pixel's sums: tests against the maps of a pool, as many as the pixel still needs.
+
+The plain kernels; ``pool_update_lanes.py`` has the CPU's. Estimates after Scherzer et al. 2009, equations 1 to 5.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from wkernels.carried_history import CarriedSums, encode_offset, fetch_sums
+from wkernels.gbuffer import GBuffer
+from wkernels.geometry import CASTS, MOVES, RECEIVES
+from wkernels.light_map import Bias
+from wkernels.map_pool import MapPool, test_in_map
+from wkernels.views import View
+
+PRIOR = wp.constant(0.5)  # tests of either outcome that the standard error takes for granted (Jeffreys' prior)
+
+
+@wp.struct
+class PoolSteps:
+    """How many tests a pixel gets, and which."""
+
+    bias: Bias
+    head: int  # one past the map that is tested first; the others follow backwards, round the pool
+    filled: int  # maps of the pool that are drawn
+    tests: int  # of a pixel whose estimate still gains by them
+    new_tests: int  # of one without history
+    refresh: int  # of one that has met every map
+    settled: int  # of one that has met every map, and all of them agreed
+    full: float  # n from which on a pixel has met every map
+    limit: float  # largest n; sums are scaled down to stay there
+    has_history: int
+    depth_epsilon: float  # scene units
+
+
+@wp.func
+def tests_wanted(rho: float, n: float, steps: PoolSteps) -> int:
+    """How many maps a pixel with these sums is tested against."""
+    agree = wp.where(rho <= 0.0, 1, wp.where(rho >= n, 1, 0))
+    known = wp.where(agree != 0, steps.settled, steps.refresh)
+    return wp.where(n <= 0.0, steps.new_tests, wp.where(n >= steps.full, known, steps.tests))
+
+
+@wp.func
+def map_at(step: int, steps: PoolSteps) -> int:
+    """Index of the map of a step, 0 being the first."""
+    m = steps.head - 1 - step
+    return wp.where(m < 0, m + steps.filled, m)
+
+
+@wp.func
+def hidden_variance(rho: float, n: float) -> float:
+    """Variance of psi = rho / n, that of the Beta distribution of a proportion: not 0 where all tests agree so far."""
+    a = rho + PRIOR
+    total = n + 2.0 * PRIOR
+    return a * wp.max(total - a, 0.0) / (total * total * (total + 1.0))
+
+
+@wp.kernel
+def update_sums(
+    first: int,
+    gbuffer: GBuffer,
+    pool: MapPool,
+    steps: PoolSteps,
+    previous_view: View,
+    previous: wp.array2d(dtype=wp.vec4),
+    current_out: wp.array2d(dtype=wp.vec4),
+    visibility_out: wp.array2d(dtype=float),
+    variance_out: wp.array2d(dtype=float),
+):
+    """Finds each pixel's sums again and adds this frame's tests of what stands still.
+
+    Args:
+        first: Tile offset. gbuffer: Receivers, (H, W). pool: Maps of the casters that stand still. steps: Which tests.
+        previous_view: The eye's view that ``previous`` was written for. previous: Of the last frame, as for
+            ``fetch_sums``, meaningless without history. current_out: This frame's.
+        visibility_out: 1 - psi; 1 where nothing receives or no map holds the point. variance_out: Of psi.
+    """
+    row, x = wp.tid()
+    y = first + row
+    flags = gbuffer.flags[y, x]
+    sums = CarriedSums()
+    visible = float(1.0)
+    variance = float(0.0)
+    if (flags & RECEIVES) != 0:
+        position_ws = gbuffer.position_ws[y, x]
+        normal_ws = gbuffer.normal_ws[y, x]
+        if steps.has_history != 0 and (flags & MOVES) == 0:
+            sums = fetch_sums(previous, previous_view, position_ws, normal_ws, steps.depth_epsilon)
+        rho = float(0.0)
+        n = float(0.0)
+        for i in range(wp.min(tests_wanted(sums.rho, sums.n, steps), steps.filled)):
+            m = map_at(i, steps)
+            found = test_in_map(pool, m, steps.bias, flags & CASTS, position_ws, normal_ws)
+            weight = pool.weight[m] * float(found.holds)
+            rho += weight * found.tau
+            n += weight
+        scale = wp.where(sums.n + n > steps.limit, wp.max(steps.limit - n, 0.0) / wp.max(sums.n, 1.0e-6), 1.0)
+        sums.rho = scale * sums.rho + rho
+        sums.n = scale * sums.n + n
+        if sums.n > 0.0:
+            sums.offset = sums.offset * (1.0 - n / sums.n)
+            visible = 1.0 - wp.clamp(sums.rho / sums.n, 0.0, 1.0)
+        variance = hidden_variance(sums.rho, sums.n)
+    kept = wp.where((flags & MOVES) != 0, 0.0, sums.n)
+    current_out[y, x] = wp.vec4(sums.rho, kept, gbuffer.depth[y, x], encode_offset(sums.offset))
+    visibility_out[y, x] = visible
+    variance_out[y, x] = variance
+
+
+@wp.kernel
+def add_movers(
+    first: int,
+    gbuffer: GBuffer,
+    pool: MapPool,
+    movers: MapPool,
+    maps: int,
+    bias: Bias,
+    visibility: wp.array2d(dtype=float),
+    variance: wp.array2d(dtype=float),
+):
+    """Takes away what moving casters hide of the light, and what nothing that stands still hides already.
+
+    Args:
+        first: Tile offset. gbuffer: Receivers, (H, W). pool: Maps of the casters that stand still. movers: Maps of
+            those that move, from the points of the light of the first ``maps`` maps of ``pool``. maps: How many.
+        bias: As for ``test_in_map``. visibility: (H, W) of what stands still alone; changed. variance: Its; grows.
+    """
+    row, x = wp.tid()
+    y = first + row
+    flags = gbuffer.flags[y, x]
+    if (flags & RECEIVES) != 0:
+        position_ws = gbuffer.position_ws[y, x]
+        normal_ws = gbuffer.normal_ws[y, x]
+        hidden = float(0.0)
+        total = float(0.0)
+        for m in range(maps):
+            total += pool.weight[m]
+            found = test_in_map(movers, m, bias, 0, position_ws, normal_ws)
+            if found.tau > 0.0:
+                still = test_in_map(pool, m, bias, flags & CASTS, position_ws, normal_ws)
+                hidden += pool.weight[m] * (1.0 - still.tau)
+        if hidden > 0.0:
+            visibility[y, x] = wp.max(visibility[y, x] - hidden / total, 0.0)
+            variance[y, x] = variance[y, x] + hidden_variance(hidden, total)
+
+
+@wp.kernel
+def take_root(first: int, variance: wp.array2d(dtype=float), error_out: wp.array2d(dtype=float)):
+    """Standard error from variance."""
+    row, x = wp.tid()
+    error_out[first + row, x] = wp.sqrt(variance[first + row, x])
