@@ -16,6 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
+from wkernels.lanes import LANES, Floats, runs_of, uses_lanes
 from wkernels.launch import launch
 from wkernels.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL, BIAS_SLOPE, ROUNDING, Bias, to_light
 from wkernels.raster import Rasteriser
@@ -109,8 +110,7 @@ def draw_into_pool(
     depths = wp.zeros(1, dtype=float, device=device)
     for i, view in enumerate(views):
         rasteriser.draw(*casters, view.to_device(), drawn, None, cull)
-        inputs = [drawn, 0, 0, depths, 0, first + i, pool]
-        launch(store_tiles, (pool.tiles, pool.tiles), inputs, device=device, threads=rasteriser.threads)
+        store_layer(drawn, 0, 0, depths, 0, first + i, pool, rasteriser.threads)
     rows = np.stack([layer_constants(view) for view in views])
 
     def put(out: wp.array, values: np.ndarray, begin: int, dtype: type) -> None:
@@ -142,8 +142,8 @@ def store_tiles(
     """Copies a square of an image into a layer of a pool, a tile a cell.
 
     Args:
-        first: Tile offset. drawn: The image. left, top: Where in it the layer begins. nearest, which: 0 at ``which`` where
-            the image holds depths; else the depth z0 of the keys 1 - z0 / z that it holds. layer: Where to.
+        first: Tile offset. drawn: The image. left, top: Where in it the layer begins. nearest, which: 0 at ``which``
+            where the image holds depths; else the depth z0 of the keys 1 - z0 / z that it holds. layer: Where to.
     """
     row, column = wp.tid()
     line = first + row
@@ -160,6 +160,58 @@ def store_tiles(
                     depth = least / (1.0 - depth)
             tile[i * TILE + j] = depth
     pool.depth[layer, line * pool.tiles + column] = tile
+
+
+@wp.kernel
+def store_tiles_lanes(
+    first: int,
+    drawn: wp.array(dtype=Floats),
+    pitch: int,
+    left: int,
+    top: int,
+    nearest: wp.array(dtype=float),
+    which: int,
+    layer: int,
+    tiles: int,
+    depth_out: wp.array(dtype=Floats),
+):
+    """``store_tiles`` of four tiles side by side, where the layer's side is a multiple of 16; both images in runs."""
+    row, column = wp.tid()
+    line = first + row
+    least = nearest[which]
+    begin = (top + TILE * line) * pitch + left + LANES * column
+    a = drawn[begin]
+    b = drawn[begin + pitch]
+    c = drawn[begin + 2 * pitch]
+    d = drawn[begin + 3 * pitch]
+    for k in range(LANES):
+        a[k] = wp.where(least > 0.0, wp.where(a[k] < 1.0, least / (1.0 - a[k]), a[k]), a[k])
+        b[k] = wp.where(least > 0.0, wp.where(b[k] < 1.0, least / (1.0 - b[k]), b[k]), b[k])
+        c[k] = wp.where(least > 0.0, wp.where(c[k] < 1.0, least / (1.0 - c[k]), c[k]), c[k])
+        d[k] = wp.where(least > 0.0, wp.where(d[k] < 1.0, least / (1.0 - d[k]), d[k]), d[k])
+    at = (layer * tiles + line) * tiles * TILE * TILE + LANES * TILE * column
+    for tile in range(4):
+        out = Floats(
+            a[4 * tile], a[4 * tile + 1], a[4 * tile + 2], a[4 * tile + 3],
+            b[4 * tile], b[4 * tile + 1], b[4 * tile + 2], b[4 * tile + 3],
+            c[4 * tile], c[4 * tile + 1], c[4 * tile + 2], c[4 * tile + 3],
+            d[4 * tile], d[4 * tile + 1], d[4 * tile + 2], d[4 * tile + 3],
+        )  # fmt: skip
+        depth_out[at + LANES * tile] = out
+
+
+def store_layer(
+    drawn: wp.array, left: int, top: int, nearest: wp.array, which: int, layer: int, pool: MapPool, threads: int | None
+) -> None:
+    """Copies a square of an image into a layer of a pool; arguments as for ``store_tiles``."""
+    device = str(drawn.device)
+    if uses_lanes(device) and pool.resolution % int(LANES) == 0:
+        inputs = [runs_of(drawn, Floats), drawn.shape[1], left, top, nearest, which, layer, pool.tiles]
+        grid = (pool.tiles, pool.resolution // int(LANES))
+        launch(store_tiles_lanes, grid, inputs, [runs_of(pool.depth, Floats)], device=device, threads=threads)
+    else:
+        inputs = [drawn, left, top, nearest, which, layer, pool]
+        launch(store_tiles, (pool.tiles, pool.tiles), inputs, device=device, threads=threads)
 
 
 @wp.func

@@ -15,7 +15,7 @@ from wkernels.geometry import Bounds
 from wkernels.launch import launch
 from wkernels.light_views import scene_views
 from wkernels.lights import orthonormal_frame
-from wkernels.map_pool import CONSTANTS, MapPool, allocate_pool, draw_into_pool, layer_constants, store_tiles
+from wkernels.map_pool import CONSTANTS, MapPool, allocate_pool, draw_into_pool, layer_constants, store_layer
 from wkernels.raster import Rasteriser
 from wkernels.views import HostView, View
 
@@ -70,8 +70,8 @@ def copy_into_squares(
     """Vertices of each copy: x and y in pixels of the image, and a key of depth that is affine on the screen.
 
     Args:
-        first: Tile offset. points_ws: (V,). constants: Of the pool's layers, one a copy. nearest: (copies,) least depth of
-            the box, for the key 1 - z0 / z of a perspective view; 0 for parallel ones, whose key is the depth.
+        first: Tile offset. points_ws: (V,). constants: Of the pool's layers, one a copy. nearest: (copies,) least
+            depth of the box, for the key 1 - z0 / z of a perspective view; 0 for parallel ones, whose key is the depth.
         columns: Squares in a row of the image. resolution: Pixels along a square. points_out: (copies V,).
     """
     i, copy = wp.tid()
@@ -120,19 +120,20 @@ class MoverMaps:
             self.pool = allocate_pool(len(self.pool.layers), 1, self.resolution, self.device)
         constants = np.stack([layer_constants(view) for view in held])
         wp.copy(self.pool.constants, wp.array(constants, dtype=float, device="cpu"), count=count * CONSTANTS)
-        wp.copy(self.pool.light_ws, wp.array(points_of_light.astype(np.float32), dtype=wp.vec4, device="cpu"), count=count)
+        wp.copy(
+            self.pool.light_ws, wp.array(points_of_light.astype(np.float32), dtype=wp.vec4, device="cpu"), count=count
+        )
         self.pool.layers.fill_(1)
         points, indices, image = self._copies(count, rows)
         near = np.array([view.near if view.perspective else 0.0 for view in held], dtype=np.float32)
         nearest = wp.array(near, dtype=float, device=self.device)
-        options = {"device": self.device, "threads": self.threads}
         inputs = [self.points, self.pool.constants, nearest, self._columns, self.resolution]
-        launch(copy_into_squares, (len(self.points), count), inputs, [points], **options)  # type: ignore[arg-type]
+        grid = (len(self.points), count)
+        launch(copy_into_squares, grid, inputs, [points], device=self.device, threads=self.threads)
         self._rasteriser.draw(points, indices, _image_view(*image.shape[::-1]), image, None, cull)
         for i in range(count):
             left, top = (i % self._columns) * self.resolution, (i // self._columns) * self.resolution
-            inputs = [image, left, top, nearest, i, i, self.pool]
-            launch(store_tiles, (self.pool.tiles, self.pool.tiles), inputs, **options)  # type: ignore[arg-type]
+            store_layer(image, left, top, nearest, i, i, self.pool, self.threads)
         return self.pool
 
     def _draw_apart(self, points_of_light: np.ndarray, box: Bounds, cull: int) -> MapPool:
