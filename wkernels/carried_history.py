@@ -15,7 +15,7 @@ from wkernels.views import View
 
 STEPS = wp.constant(128.0)  # of an offset of one pixel
 CODES = wp.constant(512.0)  # codes of an offset along one axis, -256 to 255
-FARTHEST = wp.constant(0.75)  # pixels: history of a point farther off is another point's
+FARTHEST = wp.constant(1.0)  # pixels: history of a point farther off is another point's
 
 
 @wp.struct

@@ -110,7 +110,7 @@ def draw_into_pool(
     depths = wp.zeros(1, dtype=float, device=device)
     for i, view in enumerate(views):
         rasteriser.draw(*casters, view.to_device(), drawn, None, cull)
-        store_layer(drawn, 0, 0, depths, 0, first + i, pool, rasteriser.threads)
+        store_layers(drawn, 1, depths, first + i, pool, rasteriser.threads)
     rows = np.stack([layer_constants(view) for view in views])
 
     def put(out: wp.array, values: np.ndarray, begin: int, dtype: type) -> None:
@@ -132,22 +132,23 @@ def texel_depth(pool: MapPool, layer: int, row: int, column: int) -> float:
 def store_tiles(
     first: int,
     drawn: wp.array2d(dtype=float),
-    left: int,
-    top: int,
+    columns: int,
     nearest: wp.array(dtype=float),
-    which: int,
     layer: int,
     pool: MapPool,
 ):
-    """Copies a square of an image into a layer of a pool, a tile a cell.
+    """Copies squares of an image into layers of a pool, a tile a cell of a grid (tiles, tiles, squares).
 
     Args:
-        first: Tile offset. drawn: The image. left, top: Where in it the layer begins. nearest, which: 0 at ``which``
-            where the image holds depths; else the depth z0 of the keys 1 - z0 / z that it holds. layer: Where to.
+        first: Tile offset. drawn: Squares of the pool's resolution, row by row. columns: How many in a row. nearest: 0 for
+            a square that holds depths; else the depth z0 of the keys 1 - z0 / z that it holds. layer: Of the first square;
+            the others follow.
     """
-    row, column = wp.tid()
+    row, column, square = wp.tid()
     line = first + row
-    least = nearest[which]
+    least = nearest[square]
+    left = (square % columns) * pool.resolution
+    top = (square // columns) * pool.resolution
     tile = TexelTile()
     for i in range(TILE):
         for j in range(TILE):
@@ -159,7 +160,7 @@ def store_tiles(
                 if least > 0.0 and depth < 1.0:
                     depth = least / (1.0 - depth)
             tile[i * TILE + j] = depth
-    pool.depth[layer, line * pool.tiles + column] = tile
+    pool.depth[layer + square, line * pool.tiles + column] = tile
 
 
 @wp.kernel
@@ -167,18 +168,18 @@ def store_tiles_lanes(
     first: int,
     drawn: wp.array(dtype=Floats),
     pitch: int,
-    left: int,
-    top: int,
+    columns: int,
     nearest: wp.array(dtype=float),
-    which: int,
     layer: int,
     tiles: int,
     depth_out: wp.array(dtype=Floats),
 ):
-    """``store_tiles`` of four tiles side by side, where the layer's side is a multiple of 16; both images in runs."""
-    row, column = wp.tid()
+    """``store_tiles``, four tiles side by side a cell, where squares are a multiple of 16 wide; both images in runs."""
+    row, column, square = wp.tid()
     line = first + row
-    least = nearest[which]
+    least = nearest[square]
+    left = (square % columns) * tiles * TILE
+    top = (square // columns) * tiles * TILE
     begin = (top + TILE * line) * pitch + left + LANES * column
     a = drawn[begin]
     b = drawn[begin + pitch]
@@ -189,7 +190,7 @@ def store_tiles_lanes(
         b[k] = wp.where(least > 0.0, wp.where(b[k] < 1.0, least / (1.0 - b[k]), b[k]), b[k])
         c[k] = wp.where(least > 0.0, wp.where(c[k] < 1.0, least / (1.0 - c[k]), c[k]), c[k])
         d[k] = wp.where(least > 0.0, wp.where(d[k] < 1.0, least / (1.0 - d[k]), d[k]), d[k])
-    at = (layer * tiles + line) * tiles * TILE * TILE + LANES * TILE * column
+    at = ((layer + square) * tiles + line) * tiles * TILE * TILE + LANES * TILE * column
     for tile in range(4):
         out = Floats(
             a[4 * tile], a[4 * tile + 1], a[4 * tile + 2], a[4 * tile + 3],
@@ -200,18 +201,18 @@ def store_tiles_lanes(
         depth_out[at + LANES * tile] = out
 
 
-def store_layer(
-    drawn: wp.array, left: int, top: int, nearest: wp.array, which: int, layer: int, pool: MapPool, threads: int | None
+def store_layers(
+    drawn: wp.array, columns: int, nearest: wp.array, layer: int, pool: MapPool, threads: int | None
 ) -> None:
-    """Copies a square of an image into a layer of a pool; arguments as for ``store_tiles``."""
-    device = str(drawn.device)
+    """Copies as many squares of an image as ``nearest`` has entries into a pool; arguments as for ``store_tiles``."""
+    device, squares = str(drawn.device), len(nearest)
     if uses_lanes(device) and pool.resolution % int(LANES) == 0:
-        inputs = [runs_of(drawn, Floats), drawn.shape[1], left, top, nearest, which, layer, pool.tiles]
-        grid = (pool.tiles, pool.resolution // int(LANES))
+        inputs = [runs_of(drawn, Floats), drawn.shape[1], columns, nearest, layer, pool.tiles]
+        grid = (pool.tiles, pool.resolution // int(LANES), squares)
         launch(store_tiles_lanes, grid, inputs, [runs_of(pool.depth, Floats)], device=device, threads=threads)
     else:
-        inputs = [drawn, left, top, nearest, which, layer, pool]
-        launch(store_tiles, (pool.tiles, pool.tiles), inputs, device=device, threads=threads)
+        inputs = [drawn, columns, nearest, layer, pool]
+        launch(store_tiles, (pool.tiles, pool.tiles, squares), inputs, device=device, threads=threads)
 
 
 @wp.func

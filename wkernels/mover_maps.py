@@ -15,7 +15,7 @@ from wkernels.geometry import Bounds
 from wkernels.launch import launch
 from wkernels.light_views import scene_views
 from wkernels.lights import orthonormal_frame
-from wkernels.map_pool import CONSTANTS, MapPool, allocate_pool, draw_into_pool, layer_constants, store_layer
+from wkernels.map_pool import CONSTANTS, MapPool, allocate_pool, draw_into_pool, layer_constants, store_layers
 from wkernels.raster import Rasteriser
 from wkernels.views import HostView, View
 
@@ -131,9 +131,7 @@ class MoverMaps:
         grid = (len(self.points), count)
         launch(copy_into_squares, grid, inputs, [points], device=self.device, threads=self.threads)
         self._rasteriser.draw(points, indices, _image_view(*image.shape[::-1]), image, None, cull)
-        for i in range(count):
-            left, top = (i % self._columns) * self.resolution, (i // self._columns) * self.resolution
-            store_layer(image, left, top, nearest, i, i, self.pool, self.threads)
+        store_layers(image, self._columns, nearest, 0, self.pool, self.threads)
         return self.pool
 
     def _draw_apart(self, points_of_light: np.ndarray, box: Bounds, cull: int) -> MapPool:

@@ -30,6 +30,7 @@ class PoolSteps:
     settled: int  # of one that has met every map, and all of them agreed
     full: float  # n from which on a pixel has met every map
     limit: float  # largest n; sums are scaled down to stay there
+    clip: float  # standard errors of this frame's tests that history may differ by; 0: any
     has_history: int
     depth_epsilon: float  # scene units
 
@@ -47,6 +48,18 @@ def map_at(step: int, steps: PoolSteps) -> int:
     """Index of the map of a step, 0 being the first."""
     m = steps.head - 1 - step
     return wp.where(m < 0, m + steps.filled, m)
+
+
+@wp.func
+def clipped_sum(rho: float, n: float, new_rho: float, new_n: float, clip: float) -> float:
+    """History's rho, as far from this frame's tests as ``clip`` of their standard errors allow.
+
+    What moved into a pixel from a place nearby is not wholly its own; what the pixel's own tests exclude is dropped.
+    """
+    middle = (new_rho + PRIOR) / (new_n + 2.0 * PRIOR)
+    reach = clip * wp.sqrt(middle * (1.0 - middle) / (new_n + 2.0 * PRIOR))
+    clipped = wp.clamp(rho, wp.max(middle - reach, 0.0) * n, wp.min(middle + reach, 1.0) * n)
+    return wp.where(clip > 0.0, wp.where(new_n > 0.0, clipped, rho), rho)
 
 
 @wp.func
@@ -96,6 +109,7 @@ def update_sums(
             weight = pool.weight[m] * float(found.holds)
             rho += weight * found.tau
             n += weight
+        sums.rho = clipped_sum(sums.rho, sums.n, rho, n, steps.clip)
         scale = wp.where(sums.n + n > steps.limit, wp.max(steps.limit - n, 0.0) / wp.max(sums.n, 1.0e-6), 1.0)
         sums.rho = scale * sums.rho + rho
         sums.n = scale * sums.n + n

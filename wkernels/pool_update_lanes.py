@@ -140,11 +140,12 @@ def test_run(pool: MapPool, views: PoolViews, m: int, bias: Bias, points: PointL
     per_slope = wp.where(bias.kind == BIAS_SLOPE, bias.slope / size, 0.0)
     holds = Floats(0.0)
     tau = Floats(0.0)
-    for k in range(LANES):
-        facing = nx[k] * (l_x - px[k] * l_w) + ny[k] * (l_y - py[k] * l_w) + nz[k] * (l_z - pz[k] * l_w)
-        turned = wp.where(facing <= 0.0, casts[k] * receives[k] * casting, 0)
-        holds[k] = float(turned)
-        tau[k] = float(turned)
+    if casting != 0:
+        for k in range(LANES):
+            facing = nx[k] * (l_x - px[k] * l_w) + ny[k] * (l_y - py[k] * l_w) + nz[k] * (l_z - pz[k] * l_w)
+            turned = wp.where(facing <= 0.0, casts[k] * receives[k], 0)
+            holds[k] = float(turned)
+            tau[k] = float(turned)
     for i in range(pool.layers[m]):
         layer = m * pool.slots + i
         c = views.constants
@@ -359,7 +360,12 @@ def update_sums_lanes(
     visible = Floats(1.0)
     variance = Floats(0.0)
     limit = steps.limit
+    clip = steps.clip
     for k in range(LANES):
+        middle = (more_rho[k] + PRIOR) / (more_n[k] + 2.0 * PRIOR)
+        reach = clip * wp.sqrt(middle * (1.0 - middle) / (more_n[k] + 2.0 * PRIOR))
+        clipped = wp.clamp(rho[k], wp.max(middle - reach, 0.0) * n[k], wp.min(middle + reach, 1.0) * n[k])
+        rho[k] = wp.where(clip > 0.0, wp.where(more_n[k] > 0.0, clipped, rho[k]), rho[k])
         kept = wp.max(limit - more_n[k], 0.0) / wp.max(n[k], 1.0e-6)
         scale = wp.where(n[k] + more_n[k] > limit, kept, 1.0)
         rho[k] = scale * rho[k] + more_rho[k]

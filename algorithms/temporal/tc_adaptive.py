@@ -89,10 +89,19 @@ class TcAdaptive(Technique):
             8, "maps that a pixel is tested against", unit="tests per frame", source="measured", ge=1, le=4096
         )
         new_tests: int = setting(
-            16, "the same of a pixel without history", unit="tests per frame", source="measured", ge=1, le=4096
+            8, "the same of a pixel without history", unit="tests per frame", source="measured", ge=1, le=4096
         )
         settled: int = setting(
             2, "the same of a pixel whose tests all agreed", unit="tests per frame", source="measured", ge=0, le=4096
+        )
+        window: int = setting(32, "largest n under a moving eye", unit="tests", source="measured", ge=1, le=4096)
+        clip: float = setting(
+            1.0,
+            "how far history may differ from a frame's own tests under a moving eye; 0: not clipped",
+            unit="standard errors",
+            source="measured",
+            ge=0.0,
+            le=100.0,
         )
         mover_maps: int = setting(8, "maps of moving casters", unit="maps per frame", source="measured", ge=1, le=1024)
         mover_resolution: int = setting(
@@ -180,7 +189,10 @@ class TcAdaptive(Technique):
         out.head = (plan.head - 1) % kept.maps + 1
         out.tests = len(plan.draws) or p.tests  # while maps are drawn they are what is new to every pixel
         out.refresh, out.settled, out.new_tests = p.tests, p.settled, p.new_tests
-        out.full, out.limit = float(kept.maps), float(kept.maps)
+        out.full = out.limit = float(min(p.window, kept.maps))
+        out.clip = p.clip if kept.still_frames(frame) == 0 else 0.0
+        if kept.still_frames(frame) > 0:
+            out.full = out.limit = float(kept.maps)
         if plan.refines:
             out.tests = out.refresh = out.settled = 0 if finished else len(plan.draws)
             out.limit = NO_LIMIT

@@ -24,7 +24,7 @@ from wkernels.lanes import uses_lanes
 from wkernels.launch import launch
 from wkernels.light_map import Bias, LightMap, compare_nearest, locate_receiver, to_light
 from wkernels.lights import DiscLight, Light
-from wkernels.map_pool import MapPool, allocate_pool, store_layer, store_tiles, test_in_map
+from wkernels.map_pool import MapPool, allocate_pool, store_layers, store_tiles, test_in_map
 from wkernels.mover_maps import MoverMaps
 from wkernels.scene import Scene
 
@@ -47,7 +47,7 @@ def technique(name: str = "tc_adaptive", **params: Any) -> Any:
     return plugin(plugin.Params(**{"resolution": 256, **params}))
 
 
-def walk(scene: Scene, device: str, frames: int, options: dict[str, Any] | None = None, **params: Any):  # noqa: ANN201
+def walk(scene: Scene, device: str, frames: int, options: dict[str, Any] | None = None, **params: Any) -> list:
     """Frames 0 to ``frames`` - 1 of one session."""
     session, made, out = open_session(scene, device, **(options or {})), technique(**params), []
     for index in range(frames):
@@ -68,7 +68,7 @@ def rmse(actual: np.ndarray, expected: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean((actual - expected) ** 2)))
 
 
-def moved(scene: Scene, mesh: int, offset) -> Scene:  # noqa: ANN001
+def moved(scene: Scene, mesh: int, offset) -> Scene:
     """The scene with a mesh that moves along x."""
 
     def pose(frame: int) -> np.ndarray:
@@ -87,14 +87,14 @@ def moved(scene: Scene, mesh: int, offset) -> Scene:  # noqa: ANN001
 @pytest.mark.parametrize("resolution", [16, 30, 64])
 @pytest.mark.parametrize("nearest", [0.0, 2.0])
 def test_tiles_hold_the_image(resolution: int, nearest: float, device: str) -> None:
-    values = np.random.default_rng(resolution).uniform(0.1, 0.9, (resolution + 5, 3 * resolution)).astype(np.float32)
+    values = np.random.default_rng(resolution).uniform(0.1, 0.9, (2 * resolution, 2 * resolution)).astype(np.float32)
     values[3:5] = np.inf
-    drawn, least = wp.array(values, dtype=float, device=device), wp.array([0.0, nearest], dtype=float, device=device)
-    pools = [allocate_pool(3, 1, resolution, device) for _ in range(2)]
-    store_layer(drawn, resolution, 5, least, 1, 2, pools[0], None)
+    drawn, least = (wp.array(v, dtype=float, device=device) for v in (values, [0.0, nearest, nearest]))
+    pools = [allocate_pool(4, 1, resolution, device) for _ in range(2)]
+    store_layers(drawn, 2, least, 1, pools[0], None)
     tiles = pools[1].tiles
-    launch(store_tiles, (tiles, tiles), [drawn, resolution, 5, least, 1, 2, pools[1]], device=device)
-    part = values[5:, resolution : 2 * resolution]
+    launch(store_tiles, (tiles, tiles, 3), [drawn, 2, least, 1, pools[1]], device=device)
+    part = values[:resolution, resolution:]
     if nearest:
         part = np.where(np.isinf(part), part, nearest / (1.0 - part))
     for pool in pools:
