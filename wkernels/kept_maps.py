@@ -14,7 +14,7 @@ from wkernels.map_pool import MapPool, allocate_pool, draw_into_pool
 from wkernels.raster import Rasteriser
 
 MEMORY = 512 * 2**20  # bytes that a pool may take
-ROOM = 0.1  # of its own size that the box of receivers grows beyond a mover that left it
+ROOM = 0.5  # of its own size that the box of movers grows beyond one that left it
 
 
 @dataclass(frozen=True)
@@ -25,12 +25,14 @@ class Schedule:
         draws: Points of the light, by index in their sequence, whose maps are drawn; map i goes to slot i mod maps.
         filled: Maps that may be read afterwards.
         head: One past the slot that is read first.
+        fills: Whether the pool is being filled, so that only what is drawn is new to a pixel.
         refines: Whether the view has stood still long enough to have met every map, so that only new ones say more.
     """
 
     draws: range
     filled: int
     head: int
+    fills: bool
     refines: bool
 
 
@@ -49,13 +51,15 @@ class KeptMaps:
     def __init__(self, frame: Session, maps: int, resolution: int) -> None:
         self.resolution = resolution
         self.casters = frame.geometry.casters(moving=False)
-        self.maps = self._wanted = maps
-        self.pool: MapPool | None = None
-        self.points = np.zeros((0, 4))  # of the light, by slot
+        self._wanted = maps
+        self.maps: int
+        self.pool: MapPool
+        self.points: np.ndarray  # of the light, by slot, float64 (maps, 4)
         self._rasteriser = Rasteriser(frame.device, frame.threads)
         self._drawn = wp.empty((resolution, resolution), dtype=float, device=frame.device)
-        self._receivers: Bounds | None = None
-        self._epoch = 0  # frame count from which on maps cover the receivers' box
+        self._movers: np.ndarray | None = None  # a box of where receivers that move have been, and may soon be
+        self._start = 0  # frame count from which on the pool is filled
+        self._epoch = 0  # frame count from which on maps cover the movers' box
         self._still: tuple[Hashable, int] = (None, 0)  # what is seen, and the frame count from which on
         self._hold(frame, 1)
 
@@ -64,22 +68,32 @@ class KeptMaps:
         self.maps = max(1, min(self._wanted, MEMORY // (4 * self.resolution**2 * layers)))
         self.pool = allocate_pool(self.maps, layers, self.resolution, frame.device)
         self.points = np.zeros((self.maps, 4))
+        self._start = frame.count
 
     def receivers(self, frame: Session) -> Bounds:
-        """Boxes of all receivers, those of movers wherever they have been so far."""
+        """Boxes of all receivers, those of movers wherever they have been so far.
+
+        Where a mover leaves its box, the box grows by half its size more than it must, so that it seldom has to again,
+        but not beyond that of the whole scene.
+        """
         geometry = frame.geometry
-        if self._receivers is None:
-            self._receivers = geometry.bounds(receivers=True, moving=False)
-            if self._receivers.empty:
-                self._receivers = geometry.bounds(casters=True, receivers=True)
-        box = self._receivers
-        moving = geometry.bounds(receivers=True, moving=True)
-        if not moving.empty and ((moving.low < box.low).any() or (moving.high > box.high).any()):
-            low, high = np.minimum(box.low, moving.low), np.maximum(box.high, moving.high)
-            self._receivers = Bounds()
-            self._receivers.add(np.stack([low, high]) + ROOM * (high - low) * np.array([[-1.0], [1.0]]))
+        still = geometry.bounds(receivers=True, moving=False)
+        now = geometry.bounds(receivers=True, moving=True)
+        if now.empty:
+            return geometry.bounds(casters=True, receivers=True) if still.empty else still
+        box = self._movers
+        if box is None or (now.low < box[0]).any() or (now.high > box[1]).any():
+            low, high = (
+                (now.low, now.high) if box is None else (np.minimum(box[0], now.low), np.maximum(box[1], now.high))
+            )
+            room = ROOM * float((high - low).max())
+            self._movers = np.stack([
+                np.minimum(low, np.maximum(low - room, still.low)), np.maximum(high, np.minimum(high + room, still.high))
+            ])  # fmt: skip
             self._epoch = frame.count
-        return self._receivers
+        out = still
+        out.add(self._movers)
+        return out
 
     def schedule(self, frame: Session, seen: Hashable, draws: int, tests: int, follows_eye: bool) -> Schedule:
         """What this frame draws and reads.
@@ -92,38 +106,44 @@ class KeptMaps:
         self.receivers(frame)
         if self._still[0] != seen:
             self._still = seen, frame.count
-        since = frame.count - self._epoch
-        to_fill = -(-self.maps // draws)
-        filled = self.maps if self._epoch else min(self.maps, (since + 1) * draws)
-        met_all = frame.count - max(self._still[1], self._epoch + to_fill) >= -(-self.maps // tests)
-        if since < to_fill or follows_eye or met_all:
-            first = frame.count * draws
-            whole = range(first, min(first + draws, first + self.maps))
-            if not self._epoch and since < to_fill:
-                whole = range(first, min(first + draws, self.maps))
-            return Schedule(whole, filled, (whole[-1] % self.maps) + 1, met_all and not follows_eye)
-        return Schedule(range(0), filled, (frame.count * tests) % self.maps + 1, False)
+        frames = -(-self.maps // draws)  # to fill the pool
+        since = frame.count - self._start
+        if since < frames:
+            own = range(since * draws, min((since + 1) * draws, self.maps))
+            return Schedule(own, own.stop, own.stop, True, False)
+        changed = max(self._still[1], self._start + frames, self._epoch + frames)
+        refines = frame.count - changed >= -(-self.maps // tests) and not follows_eye
+        if follows_eye or refines or frame.count - self._epoch < frames:
+            first = since * draws
+            own = range(first, first + (1 if refines else min(draws, self.maps)))
+            return Schedule(own, self.maps, (own.stop - 1) % self.maps + 1, False, refines)
+        return Schedule(range(0), self.maps, (since * tests) % self.maps + 1, False, False)
 
     def still_frames(self, frame: Session) -> int:
         """Frames since what is seen last changed."""
         return frame.count - self._still[1]
 
-    def draw(self, frame: Session, which: range, sample_set: str, cull: int) -> None:
-        """Draws the maps of some points of the light."""
+    def draw(self, frame: Session, which: range, sample_set: str, cull: int) -> bool:
+        """Draws the maps of some points of the light.
+
+        Returns:
+            False where they need more layers than there was room for: nothing is drawn, the pool is empty, and there is a
+            new schedule.
+        """
         samples = frame.light_samples(len(which), sample_set, start=which.start)
         receivers, casters = self.receivers(frame), frame.geometry.bounds(casters=True, moving=False)
+        eye = frame.eye()
+        views = [frame.projection(light, receivers, casters, self.resolution, eye) for light in samples.host]
+        layers = max(len(own) for own in views)
+        if layers > self.pool.slots:
+            self._hold(frame, layers)
+            return False
         for i, index in enumerate(which):
-            light_ws = samples.host[i]
-            views = frame.projection(light_ws, receivers, casters, self.resolution, frame.eye())
-            if self.pool is None or len(views) > self.pool.slots:
-                self._hold(frame, len(views))
-            assert self.pool is not None
-            slot = index % self.maps
+            slot, light_ws, weight = index % self.maps, samples.host[i], float(samples.weights_host[i])
             self.points[slot] = light_ws
             with frame.timed("light depth map"):
-                draw_into_pool(
-                    self.pool, slot, views, light_ws, float(samples.weights_host[i]), self.casters,
-                    self._rasteriser, cull, self._drawn,
-                )  # fmt: skip
+                options = self._rasteriser, cull, self._drawn
+                draw_into_pool(self.pool, slot, views[i], light_ws, weight, self.casters, *options)
             if frame.light_views is None:
-                frame.light_views = (views, light_ws)
+                frame.light_views = (views[i], light_ws)
+        return True

@@ -140,9 +140,9 @@ def store_tiles(
     """Copies squares of an image into layers of a pool, a tile a cell of a grid (tiles, tiles, squares).
 
     Args:
-        first: Tile offset. drawn: Squares of the pool's resolution, row by row. columns: How many in a row. nearest: 0 for
-            a square that holds depths; else the depth z0 of the keys 1 - z0 / z that it holds. layer: Of the first square;
-            the others follow.
+        first: Tile offset. drawn: Squares of the pool's resolution, row by row. columns: How many in a row.
+        nearest: 0 for a square that holds depths; else the depth z0 of the keys 1 - z0 / z that it holds.
+        layer: Of the first square; the others follow. pool: Written to.
     """
     row, column, square = wp.tid()
     line = first + row
@@ -245,7 +245,7 @@ def plane_slopes(pool: MapPool, layer: int, normal_ws: wp.vec3, x: float, y: flo
 
 
 @wp.func
-def test_in_map(pool: MapPool, m: int, bias: Bias, casts: int, position_ws: wp.vec3, normal_ws: wp.vec3) -> PoolTest:
+def map_test(pool: MapPool, m: int, bias: Bias, casts: int, position_ws: wp.vec3, normal_ws: wp.vec3) -> PoolTest:
     """The hard shadow test of a point in one map, with the bias of ``locate_receiver``.
 
     Args:

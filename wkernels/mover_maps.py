@@ -14,8 +14,9 @@ from wkernels.frame import Session
 from wkernels.geometry import Bounds
 from wkernels.launch import launch
 from wkernels.light_views import scene_views
-from wkernels.lights import orthonormal_frame
+from wkernels.lights import Light, orthonormal_frame
 from wkernels.map_pool import CONSTANTS, MapPool, allocate_pool, draw_into_pool, layer_constants, store_layers
+from wkernels.pool_update import MoverReach
 from wkernels.raster import Rasteriser
 from wkernels.views import HostView, View
 
@@ -156,6 +157,21 @@ class MoverMaps:
             shape = (rows * self.resolution, self._columns * self.resolution)
             self._copied = count, points, indices, wp.empty(shape, dtype=float, device=self.device)
         return self._copied[1:]
+
+
+def mover_reach(light: Light, box: Bounds) -> MoverReach:
+    """Balls round the movers, whose boxes these are, and round the light."""
+    out = MoverReach()
+    low, high = box.low, box.high
+    out.centre_ws, out.radius = wp.vec3(*(0.5 * (low + high))), 0.5 * float(np.linalg.norm(high - low))
+    centre, hull = light.centre, light.hull
+    out.light_ws = wp.vec4(*centre)
+    if light.is_directional:
+        cosines = hull[:, :3] @ centre[:3] / np.linalg.norm(hull[:, :3], axis=1) / np.linalg.norm(centre[:3])
+        out.spread = float(np.tan(np.arccos(np.clip(cosines.min(), 1e-3, 1.0))))
+    else:
+        out.spread = float(np.linalg.norm(hull[:, :3] - centre[:3], axis=1).max())
+    return out
 
 
 def _image_view(width: int, height: int) -> View:

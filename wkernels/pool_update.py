@@ -11,7 +11,7 @@ from wkernels.carried_history import CarriedSums, encode_offset, fetch_sums
 from wkernels.gbuffer import GBuffer
 from wkernels.geometry import CASTS, MOVES, RECEIVES
 from wkernels.light_map import Bias
-from wkernels.map_pool import MapPool, test_in_map
+from wkernels.map_pool import MapPool, map_test
 from wkernels.views import View
 
 PRIOR = wp.constant(0.5)  # tests of either outcome that the standard error takes for granted (Jeffreys' prior)
@@ -33,6 +33,35 @@ class PoolSteps:
     clip: float  # standard errors of this frame's tests that history may differ by; 0: any
     has_history: int
     depth_epsilon: float  # scene units
+
+
+@wp.struct
+class MoverReach:
+    """A ball round the movers, and a ball or cone round the light: what bounds where their shadows fall."""
+
+    centre_ws: wp.vec3
+    radius: float
+    light_ws: wp.vec4  # the light's centre
+    spread: float  # how far off that its points lie, scene units; of a direction the tangent of its largest angle
+
+
+@wp.func
+def may_reach(reach: MoverReach, position_ws: wp.vec3) -> bool:
+    """Whether the movers may hide some of the light from a point; never false where they do.
+
+    The way to a point of the light leaves that to its centre by at most ``spread`` at its end, and in proportion
+    before. It meets the ball no farther along than the ball's centre, its radius and the spread together allow.
+    """
+    way = wp.vec3(reach.light_ws[0], reach.light_ws[1], reach.light_ws[2]) - position_ws * reach.light_ws[3]
+    length = wp.max(wp.length(way), 1.0e-20)
+    to_ball = reach.centre_ws - position_ws
+    along = wp.max(wp.dot(to_ball, way) / length, 0.0)
+    aside = wp.length(to_ball - way * (along / length))
+    slack = reach.radius + reach.spread
+    widest = reach.spread * wp.min((along + slack) / length, 1.0)
+    if reach.light_ws[3] == 0.0:
+        widest = reach.spread * 2.0 * (along + reach.radius)
+    return aside <= 1.001 * (reach.radius + widest)
 
 
 @wp.func
@@ -80,7 +109,7 @@ def update_sums(
     previous: wp.array2d(dtype=wp.vec4),
     current_out: wp.array2d(dtype=wp.vec4),
     visibility_out: wp.array2d(dtype=float),
-    variance_out: wp.array2d(dtype=float),
+    error_out: wp.array2d(dtype=float),
 ):
     """Finds each pixel's sums again and adds this frame's tests of what stands still.
 
@@ -88,7 +117,7 @@ def update_sums(
         first: Tile offset. gbuffer: Receivers, (H, W). pool: Maps of the casters that stand still. steps: Which tests.
         previous_view: The eye's view that ``previous`` was written for. previous: Of the last frame, as for
             ``fetch_sums``, meaningless without history. current_out: This frame's.
-        visibility_out: 1 - psi; 1 where nothing receives or no map holds the point. variance_out: Of psi.
+        visibility_out: 1 - psi; 1 where nothing receives or no map holds the point. error_out: Its standard error.
     """
     row, x = wp.tid()
     y = first + row
@@ -105,7 +134,7 @@ def update_sums(
         n = float(0.0)
         for i in range(wp.min(tests_wanted(sums.rho, sums.n, steps), steps.filled)):
             m = map_at(i, steps)
-            found = test_in_map(pool, m, steps.bias, flags & CASTS, position_ws, normal_ws)
+            found = map_test(pool, m, steps.bias, flags & CASTS, position_ws, normal_ws)
             weight = pool.weight[m] * float(found.holds)
             rho += weight * found.tau
             n += weight
@@ -120,7 +149,7 @@ def update_sums(
     kept = wp.where((flags & MOVES) != 0, 0.0, sums.n)
     current_out[y, x] = wp.vec4(sums.rho, kept, gbuffer.depth[y, x], encode_offset(sums.offset))
     visibility_out[y, x] = visible
-    variance_out[y, x] = variance
+    error_out[y, x] = wp.sqrt(variance)
 
 
 @wp.kernel
@@ -131,37 +160,32 @@ def add_movers(
     movers: MapPool,
     maps: int,
     bias: Bias,
+    reach: MoverReach,
     visibility: wp.array2d(dtype=float),
-    variance: wp.array2d(dtype=float),
+    error: wp.array2d(dtype=float),
 ):
     """Takes away what moving casters hide of the light, and what nothing that stands still hides already.
 
     Args:
         first: Tile offset. gbuffer: Receivers, (H, W). pool: Maps of the casters that stand still. movers: Maps of
             those that move, from the points of the light of the first ``maps`` maps of ``pool``. maps: How many.
-        bias: As for ``test_in_map``. visibility: (H, W) of what stands still alone; changed. variance: Its; grows.
+        bias: As for ``map_test``. reach: Where movers may cast. visibility: (H, W) of what stands still alone; changed.
+        error: Its standard error; grows.
     """
     row, x = wp.tid()
     y = first + row
     flags = gbuffer.flags[y, x]
-    if (flags & RECEIVES) != 0:
+    if (flags & RECEIVES) != 0 and may_reach(reach, gbuffer.position_ws[y, x]):
         position_ws = gbuffer.position_ws[y, x]
         normal_ws = gbuffer.normal_ws[y, x]
         hidden = float(0.0)
         total = float(0.0)
         for m in range(maps):
             total += pool.weight[m]
-            found = test_in_map(movers, m, bias, 0, position_ws, normal_ws)
+            found = map_test(movers, m, bias, 0, position_ws, normal_ws)
             if found.tau > 0.0:
-                still = test_in_map(pool, m, bias, flags & CASTS, position_ws, normal_ws)
+                still = map_test(pool, m, bias, flags & CASTS, position_ws, normal_ws)
                 hidden += pool.weight[m] * (1.0 - still.tau)
         if hidden > 0.0:
             visibility[y, x] = wp.max(visibility[y, x] - hidden / total, 0.0)
-            variance[y, x] = variance[y, x] + hidden_variance(hidden, total)
-
-
-@wp.kernel
-def take_root(first: int, variance: wp.array2d(dtype=float), error_out: wp.array2d(dtype=float)):
-    """Standard error from variance."""
-    row, x = wp.tid()
-    error_out[first + row, x] = wp.sqrt(variance[first + row, x])
+            error[y, x] = wp.sqrt(error[y, x] * error[y, x] + hidden_variance(hidden, total))

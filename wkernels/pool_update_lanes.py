@@ -10,7 +10,7 @@ from wkernels.geometry import CASTS, MOVES, RECEIVES
 from wkernels.lanes import LANES, Floats, Ints, Vectors, flat_floats, runs_of
 from wkernels.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL, BIAS_SLOPE, ROUNDING, Bias
 from wkernels.map_pool import CONSTANTS, EDGE_ON, TILE, MapPool
-from wkernels.pool_update import PRIOR, PoolSteps, map_at
+from wkernels.pool_update import PRIOR, MoverReach, PoolSteps, map_at
 from wkernels.shadow_buffer import EDGE_ON as SEEN_EDGE_ON
 from wkernels.views import View
 
@@ -121,7 +121,7 @@ def load_points(views: PointViews, begin: int):
 
 @wp.func
 def test_run(pool: MapPool, views: PoolViews, m: int, bias: Bias, points: PointLanes, casting: int):
-    """``test_in_map`` of each lane; with ``casting`` 0 no surface hides itself by being turned away."""
+    """``map_test`` of each lane; with ``casting`` 0 no surface hides itself by being turned away."""
     px = points.x
     py = points.y
     pz = points.z
@@ -316,7 +316,7 @@ def update_sums_lanes(
     previous: wp.array(dtype=float),
     current_out: wp.array2d(dtype=wp.vec4),
     visibility_out: wp.array2d(dtype=float),
-    variance_out: wp.array2d(dtype=float),
+    error_out: wp.array2d(dtype=float),
 ):
     """``update_sums`` of a run of pixels; ``previous`` flat (4 H W,)."""
     row, column = wp.tid()
@@ -358,7 +358,7 @@ def update_sums_lanes(
     offset_x = sums.offset_x
     offset_y = sums.offset_y
     visible = Floats(1.0)
-    variance = Floats(0.0)
+    error = Floats(0.0)
     limit = steps.limit
     clip = steps.clip
     for k in range(LANES):
@@ -377,7 +377,8 @@ def update_sums_lanes(
         visible[k] = wp.where(receives[k] != 0, 1.0 - wp.clamp(rho[k] * over_n, 0.0, 1.0), 1.0)
         a = rho[k] + PRIOR
         total = n[k] + 2.0 * PRIOR
-        variance[k] = float(receives[k]) * (a * wp.max(total - a, 0.0) / (total * total * (total + 1.0)))
+        spread = a * wp.max(total - a, 0.0) / (total * total * (total + 1.0))
+        error[k] = float(receives[k]) * wp.sqrt(spread)
         o_x = wp.clamp(wp.floor(offset_x[k] * STEPS + 0.5), -256.0, 255.0)
         o_y = wp.clamp(wp.floor(offset_y[k] * STEPS + 0.5), -256.0, 255.0)
         offset_x[k] = (o_x + 256.0) * CODES + (o_y + 256.0)
@@ -385,7 +386,39 @@ def update_sums_lanes(
     for k in range(wp.min(LANES, visibility_out.shape[1] - x0)):
         current_out[y, x0 + k] = wp.vec4(rho[k], n[k], depths[k], offset_x[k])
         visibility_out[y, x0 + k] = visible[k]
-        variance_out[y, x0 + k] = variance[k]
+        error_out[y, x0 + k] = error[k]
+
+
+@wp.func
+def reached_lanes(reach: MoverReach, points: PointLanes):
+    """``may_reach`` of the lanes that receive, as 0 and 1."""
+    px = points.x
+    py = points.y
+    pz = points.z
+    receives = points.receives
+    l_x, l_y, l_z, l_w = reach.light_ws[0], reach.light_ws[1], reach.light_ws[2], reach.light_ws[3]
+    c_x, c_y, c_z = reach.centre_ws[0], reach.centre_ws[1], reach.centre_ws[2]
+    radius = reach.radius
+    spread = reach.spread
+    out = Ints(0)
+    for k in range(LANES):
+        w_x = l_x - px[k] * l_w
+        w_y = l_y - py[k] * l_w
+        w_z = l_z - pz[k] * l_w
+        length = wp.max(wp.sqrt(w_x * w_x + w_y * w_y + w_z * w_z), 1.0e-20)
+        b_x = c_x - px[k]
+        b_y = c_y - py[k]
+        b_z = c_z - pz[k]
+        along = wp.max((b_x * w_x + b_y * w_y + b_z * w_z) / length, 0.0)
+        share = along / length
+        a_x = b_x - w_x * share
+        a_y = b_y - w_y * share
+        a_z = b_z - w_z * share
+        near = spread * wp.min((along + radius + spread) / length, 1.0)
+        widest = wp.where(l_w == 0.0, spread * 2.0 * (along + radius), near)
+        aside = wp.sqrt(a_x * a_x + a_y * a_y + a_z * a_z)
+        out[k] = wp.where(aside <= 1.001 * (radius + widest), receives[k], 0)
+    return out
 
 
 @wp.kernel
@@ -398,14 +431,19 @@ def add_movers_lanes(
     movers: MapPool,
     maps: int,
     bias: Bias,
+    reach: MoverReach,
     visibility: wp.array2d(dtype=float),
-    variance: wp.array2d(dtype=float),
+    error: wp.array2d(dtype=float),
 ):
     """``add_movers`` of a run of pixels."""
     row, column = wp.tid()
     y = first + row
     x0 = column * LANES
     points = load_points(points_of, y * points_of.width + x0)
+    within = reached_lanes(reach, points)
+    if wp.max(within) == 0:
+        return
+    points.receives = within
     hidden = Floats(0.0)
     total = float(0.0)
     touched = int(0)
@@ -427,7 +465,7 @@ def add_movers_lanes(
         for k in range(wp.min(LANES, visibility.shape[1] - x0)):
             if hidden[k] > 0.0:
                 a = hidden[k] + PRIOR
-                all = total + 2.0 * PRIOR
+                whole = total + 2.0 * PRIOR
                 visibility[y, x0 + k] = wp.max(visibility[y, x0 + k] - hidden[k] / total, 0.0)
-                more = a * wp.max(all - a, 0.0) / (all * all * (all + 1.0))
-                variance[y, x0 + k] = variance[y, x0 + k] + more
+                more = a * wp.max(whole - a, 0.0) / (whole * whole * (whole + 1.0))
+                error[y, x0 + k] = wp.sqrt(error[y, x0 + k] * error[y, x0 + k] + more)

@@ -48,8 +48,8 @@ from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer
 from wkernels.kept_maps import KeptMaps, Schedule
 from wkernels.lanes import flat_floats, runs_per_row, uses_lanes
-from wkernels.mover_maps import MoverMaps
-from wkernels.pool_update import PoolSteps, add_movers, take_root, update_sums
+from wkernels.mover_maps import MoverMaps, mover_reach
+from wkernels.pool_update import PoolSteps, add_movers, update_sums
 from wkernels.pool_update_lanes import add_movers_lanes, point_views, pool_views, update_sums_lanes
 
 NO_LIMIT = 2.0**22  # a quarter of where whole numbers in float32 stop being exact
@@ -96,7 +96,7 @@ class TcAdaptive(Technique):
         )
         window: int = setting(32, "largest n under a moving eye", unit="tests", source="measured", ge=1, le=4096)
         clip: float = setting(
-            1.0,
+            1.5,
             "how far history may differ from a frame's own tests under a moving eye; 0: not clipped",
             unit="standard errors",
             source="measured",
@@ -123,7 +123,6 @@ class TcAdaptive(Technique):
         if frame.nothing_casts(visibility):
             error.zero_()
             return visibility
-        variance = frame.buffer("variance", shape, wp.float32)
         kept: KeptMaps = frame.product(
             "maps", "kept maps", (), lambda old: old or KeptMaps(frame, p.samples, p.resolution)
         )
@@ -131,12 +130,14 @@ class TcAdaptive(Technique):
 
         # 1: maps
         seen = frame.geometry.version, bytes(np.array(gbuffer.view.ws_to_ss, dtype=np.float32))
-        plan = kept.schedule(frame, seen, p.draws, p.tests, isinstance(frame.projection, Composition))
-        finished = plan.refines and kept.still_frames(frame) * p.draws >= p.still_samples
+        follows_eye = isinstance(frame.projection, Composition)
+        plan = kept.schedule(frame, seen, p.draws, p.tests, follows_eye)
+        finished = plan.refines and kept.still_frames(frame) >= p.still_samples
         if finished and frame.leave_out("light depth maps and tests", "the view has stood still for all samples"):
             wp.copy(history.current, history.previous)
             return visibility
-        if not finished and len(plan.draws):
+        if len(plan.draws) and not finished and not kept.draw(frame, plan.draws, p.sample_set, p.cull):
+            plan = kept.schedule(frame, seen, p.draws, p.tests, follows_eye)
             kept.draw(frame, plan.draws, p.sample_set, p.cull)
 
         # 2: tests of what stands still, added to what each pixel already knows
@@ -144,7 +145,7 @@ class TcAdaptive(Technique):
         lanes, runs = uses_lanes(frame.device), (shape[0], runs_per_row(shape[1]))
         with frame.timed("tests"):
             previous_view = history.previous_view or gbuffer.view
-            outputs = [history.current, visibility, variance]
+            outputs = [history.current, visibility, error]
             if lanes:
                 inputs = [point_views(gbuffer), pool_views(kept.pool), kept.pool, steps, previous_view]
                 frame.launch(update_sums_lanes, runs, [*inputs, flat_floats(history.previous)], outputs)
@@ -154,13 +155,11 @@ class TcAdaptive(Technique):
 
         # 3: movers
         if frame.geometry.moving or not frame.leave_out("maps of moving casters", "nothing moves"):
-            self._add_movers(frame, gbuffer, kept, plan.filled, visibility, variance)
-        with frame.timed("standard error"):
-            frame.launch(take_root, shape, [variance], [error])
+            self._add_movers(frame, gbuffer, kept, plan.filled, visibility, error)
         return visibility
 
     def _add_movers(
-        self, frame: Frame, gbuffer: GBuffer, kept: KeptMaps, filled: int, visibility: wp.array, variance: wp.array
+        self, frame: Frame, gbuffer: GBuffer, kept: KeptMaps, filled: int, visibility: wp.array, error: wp.array
     ) -> None:
         p = self.params
         box = frame.geometry.bounds(casters=True, moving=True)
@@ -169,12 +168,12 @@ class TcAdaptive(Technique):
         made: MoverMaps = frame.product(
             "mover maps", "mover maps", (), lambda old: old or MoverMaps(frame, p.mover_maps, p.mover_resolution)
         )
-        maps = min(p.mover_maps, filled, kept.maps)
+        maps = min(p.mover_maps, filled)
         with frame.timed("mover maps"):
             movers = made.draw(kept.points[:maps], box, p.cull)
         with frame.timed("mover tests"):
-            inputs = [kept.pool, movers, maps, p.device_bias]
-            outputs = [visibility, variance]
+            inputs = [kept.pool, movers, maps, p.device_bias, mover_reach(frame.light, box)]
+            outputs = [visibility, error]
             if uses_lanes(frame.device):
                 views = [point_views(gbuffer), pool_views(kept.pool), pool_views(movers)]
                 runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
@@ -185,14 +184,12 @@ class TcAdaptive(Technique):
     def _steps(self, frame: Frame, kept: KeptMaps, plan: Schedule, has_history: bool, finished: bool) -> PoolSteps:
         p = self.params
         out = PoolSteps()
-        out.bias, out.filled = p.device_bias, min(plan.filled, kept.maps)
-        out.head = (plan.head - 1) % kept.maps + 1
-        out.tests = len(plan.draws) or p.tests  # while maps are drawn they are what is new to every pixel
+        out.bias, out.filled, out.head = p.device_bias, plan.filled, plan.head
+        out.tests = len(plan.draws) if plan.fills else p.tests
         out.refresh, out.settled, out.new_tests = p.tests, p.settled, p.new_tests
-        out.full = out.limit = float(min(p.window, kept.maps))
-        out.clip = p.clip if kept.still_frames(frame) == 0 else 0.0
-        if kept.still_frames(frame) > 0:
-            out.full = out.limit = float(kept.maps)
+        is_still = kept.still_frames(frame) > 0
+        out.full = out.limit = float(kept.maps if is_still else min(p.window, kept.maps))
+        out.clip = 0.0 if is_still or plan.fills else p.clip
         if plan.refines:
             out.tests = out.refresh = out.settled = 0 if finished else len(plan.draws)
             out.limit = NO_LIMIT

@@ -24,7 +24,7 @@ from wkernels.lanes import uses_lanes
 from wkernels.launch import launch
 from wkernels.light_map import Bias, LightMap, compare_nearest, locate_receiver, to_light
 from wkernels.lights import DiscLight, Light
-from wkernels.map_pool import MapPool, allocate_pool, store_layers, store_tiles, test_in_map
+from wkernels.map_pool import MapPool, allocate_pool, map_test, store_layers, store_tiles
 from wkernels.mover_maps import MoverMaps
 from wkernels.scene import Scene
 
@@ -104,7 +104,7 @@ def test_tiles_hold_the_image(resolution: int, nearest: float, device: str) -> N
 
 
 @wp.kernel
-def test_both(
+def both_tests(
     first: int, gbuffer: GBuffer, light_map: LightMap, pool: MapPool, bias: Bias, out: wp.array3d(dtype=float)
 ):
     row, x = wp.tid()
@@ -118,7 +118,7 @@ def test_both(
             visible = receiver.visible
             if receiver.layer >= 0:
                 visible = compare_nearest(light_map, receiver)
-        found = test_in_map(pool, 1, bias, gbuffer.flags[y, x] & CASTS, at, normal)
+        found = map_test(pool, 1, bias, gbuffer.flags[y, x] & CASTS, at, normal)
         out[0, y, x] = 1.0 - visible
         out[1, y, x] = found.tau
         out[2, y, x] = float(found.holds)
@@ -137,7 +137,7 @@ def test_a_test_in_a_pool_is_that_of_a_light_map(lamp: str, bias: str, warp: str
     kept = KeptMaps(session, 2, 256)
     kept.draw(session, range(2), "halton", 0)
     out = wp.zeros((3, *gbuffer.depth.shape), dtype=float, device=device)
-    launch(test_both, gbuffer.depth.shape, [gbuffer, light_map, kept.pool, params.device_bias], [out], device=device)
+    launch(both_tests, gbuffer.depth.shape, [gbuffer, light_map, kept.pool, params.device_bias], [out], device=device)
     expected, found, holds = out.numpy()
     receives = (gbuffer.flags.numpy() & int(RECEIVES)) != 0
     assert 0.05 < expected[receives].mean() < 0.95 and holds[receives].mean() > 0.9
