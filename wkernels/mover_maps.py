@@ -131,7 +131,9 @@ class MoverMaps:
         inputs = [self.points, self.pool.constants, nearest, self._columns, self.resolution]
         grid = (len(self.points), count)
         launch(copy_into_squares, grid, inputs, [points], device=self.device, threads=self.threads)
-        self._rasteriser.draw(points, indices, _image_view(*image.shape[::-1]), image, None, cull)
+        self._rasteriser.draw(
+            points, indices, _image_view(*image.shape[::-1], max(view.far for view in held)), image, None, cull
+        )
         store_layers(image, self._columns, nearest, 0, self.pool, self.threads)
         return self.pool
 
@@ -174,11 +176,11 @@ def mover_reach(light: Light, box: Bounds) -> MoverReach:
     return out
 
 
-def _image_view(width: int, height: int) -> View:
-    """The view whose world is the image: x right and y down in pixels, z is depth."""
+def _image_view(width: int, height: int, far: float) -> View:
+    """The view whose world is the image: x right and y down in pixels, z is a key of depth, up to ``far`` or 1."""
     out = View()
     rows = np.diag([2.0 / width, -2.0 / height, 1.0, 1.0])
     rows[:2, 3] = -1.0, 1.0
     out.ws_to_ss = wp.mat44(*rows.astype(np.float32).ravel())
-    out.near, out.far, out.width, out.height = -1.0, 1.0e30, width, height
+    out.near, out.far, out.width, out.height = -1.0, max(far, 1.0), width, height
     return out

@@ -86,13 +86,13 @@ class TcAdaptive(Technique):
             2, "maps drawn per frame until the pool is full", unit="maps per frame", source="measured", ge=1, le=4096
         )
         tests: int = setting(
-            8, "maps that a pixel is tested against", unit="tests per frame", source="measured", ge=1, le=4096
+            4, "maps that a pixel is tested against", unit="tests per frame", source="measured", ge=1, le=4096
         )
         new_tests: int = setting(
-            8, "the same of a pixel without history", unit="tests per frame", source="measured", ge=1, le=4096
+            4, "the same of a pixel without history", unit="tests per frame", source="measured", ge=1, le=4096
         )
         settled: int = setting(
-            2, "the same of a pixel whose tests all agreed", unit="tests per frame", source="measured", ge=0, le=4096
+            1, "the same of a pixel whose tests all agreed", unit="tests per frame", source="measured", ge=0, le=4096
         )
         window: int = setting(32, "largest n under a moving eye", unit="tests", source="measured", ge=1, le=4096)
         clip: float = setting(
@@ -103,7 +103,7 @@ class TcAdaptive(Technique):
             ge=0.0,
             le=100.0,
         )
-        mover_maps: int = setting(8, "maps of moving casters", unit="maps per frame", source="measured", ge=1, le=1024)
+        mover_maps: int = setting(6, "maps of moving casters", unit="maps per frame", source="measured", ge=1, le=1024)
         mover_resolution: int = setting(
             256, "texels per side of those maps", unit="texels", source="measured", ge=8, le=2048
         )
