@@ -80,7 +80,11 @@ class KeptMaps:
         still = geometry.bounds(receivers=True, moving=False)
         now = geometry.bounds(receivers=True, moving=True)
         if now.empty:
-            return geometry.bounds(casters=True, receivers=True) if still.empty else still
+            if still.empty:
+                still = geometry.bounds(casters=True)
+            if still.empty:  # no meshes at all: any view will do
+                still.add(np.zeros((1, 3)))
+            return still
         low, high = (now.low, now.high) if self._movers is None else self._movers
         if self._movers is None or (now.low < low).any() or (now.high > high).any():
             low, high = np.minimum(low, now.low), np.maximum(high, now.high)

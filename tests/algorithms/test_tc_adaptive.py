@@ -25,7 +25,8 @@ from wkernels.launch import launch
 from wkernels.light_map import Bias, LightMap, compare_nearest, locate_receiver, to_light
 from wkernels.lights import DiscLight, Light
 from wkernels.map_pool import MapPool, allocate_pool, map_test, store_layers, store_tiles
-from wkernels.mover_maps import MoverMaps
+from wkernels.mover_maps import MoverMaps, mover_reach
+from wkernels.pool_update import MoverReach, may_reach
 from wkernels.scene import Scene
 
 SIZE = (96, 72)
@@ -278,6 +279,37 @@ def test_movers_drawn_at_once_are_those_drawn_apart(device: str) -> None:
     near = MoverMaps(session, 2, 64)
     inside = np.array([[*box.corners.mean(axis=0), 1.0]] * 2)
     assert near.draw(inside, box, 0).slots > 1, "a light amid the movers needs more than one view"
+
+
+@wp.kernel
+def ask_reach(first: int, reach: MoverReach, points_ws: wp.array(dtype=wp.vec3), out: wp.array(dtype=int)):
+    i = first + wp.tid()
+    out[i] = wp.where(may_reach(reach, points_ws[i]), 1, 0)
+
+
+@pytest.mark.parametrize("kind", ["rectangle", "sphere", "directional"])
+def test_no_shadow_of_a_mover_is_culled(kind: str, device: str) -> None:
+    """Brute force: every point from which a way to some point of the light meets the movers' ball is reached."""
+    rng = np.random.default_rng(5)
+    lamp = small.light(kind, (1.0, 6.0, 0.5), 2.5)
+    box = small.mesh("m", small.box((0.3, 2.0, -0.2), (0.8, 0.3, 1.1)))
+    session = open_session(small.scene([box], lamp), device)
+    reach = mover_reach(session.light, session.geometry.bounds(casters=True))
+    points = rng.uniform((-6.0, -3.0, -6.0), (6.0, 5.0, 6.0), (4000, 3)).astype(np.float32)
+    out = wp.zeros(len(points), dtype=int, device=device)
+    launch(ask_reach, len(points), [reach, wp.array(points, dtype=wp.vec3, device=device)], [out], device=device)
+    light = session.light_samples(64).host
+    way = light[None, :, :3] - points[:, None] * light[None, :, 3:]
+    length = np.linalg.norm(way, axis=2)
+    to_ball = np.array(reach.centre_ws)[None, None] - points[:, None]
+    along = np.maximum((to_ball * way).sum(axis=2) / length, 0.0)
+    if not session.light.is_directional:
+        along = np.minimum(along, length)
+    aside = np.linalg.norm(to_ball - way * (along / length)[..., None], axis=2)
+    met = (aside <= reach.radius).any(axis=1)
+    reached = out.numpy() == 1
+    assert 0.01 < met.mean() and not (met & ~reached).any()
+    assert reached.mean() < 3.0 * met.mean(), "so much is reached that nothing is saved"
 
 
 # ---- sessions -----------------------------------------------------------------------------------------------------------
