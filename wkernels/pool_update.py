@@ -24,9 +24,8 @@ class PoolSteps:
     bias: Bias
     head: int  # one past the map that is tested first; the others follow backwards, round the pool
     filled: int  # maps of the pool that are drawn
-    tests: int  # of a pixel whose estimate still gains by them
+    tests: int  # of a pixel with history
     new_tests: int  # of one without history
-    refresh: int  # of one that has met every map
     settled: int  # of one that has met every map, and all of them agreed
     full: float  # n from which on a pixel has met every map
     limit: float  # largest n; sums are scaled down to stay there
@@ -68,7 +67,7 @@ def may_reach(reach: MoverReach, position_ws: wp.vec3) -> bool:
 def tests_wanted(rho: float, n: float, steps: PoolSteps) -> int:
     """How many maps a pixel with these sums is tested against."""
     agree = wp.where(rho <= 0.0, 1, wp.where(rho >= n, 1, 0))
-    known = wp.where(agree != 0, steps.settled, steps.refresh)
+    known = wp.where(agree != 0, steps.settled, steps.tests)
     return wp.where(n <= 0.0, steps.new_tests, wp.where(n >= steps.full, known, steps.tests))
 
 

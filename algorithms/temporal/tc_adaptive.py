@@ -77,7 +77,7 @@ class TcAdaptive(Technique):
         """The pool, how often it is read, and the movers' maps."""
 
         samples: int = setting(
-            32, "points of the light, and maps that are kept", unit="maps", source="measured", ge=1, le=4096
+            16, "points of the light, and maps that are kept", unit="maps", source="measured", ge=1, le=4096
         )
         sample_set: Literal["halton", "r2", "poisson_disc", "random"] = setting(
             "halton", "point set on the light", unit="name", source="Scherzer 2009, sec. 4"
@@ -94,9 +94,8 @@ class TcAdaptive(Technique):
         settled: int = setting(
             1, "the same of a pixel whose tests all agreed", unit="tests per frame", source="measured", ge=0, le=4096
         )
-        window: int = setting(32, "largest n under a moving eye", unit="tests", source="measured", ge=1, le=4096)
         clip: float = setting(
-            1.5,
+            2.0,
             "how far history may differ from a frame's own tests under a moving eye; 0: not clipped",
             unit="standard errors",
             source="measured",
@@ -105,7 +104,7 @@ class TcAdaptive(Technique):
         )
         mover_maps: int = setting(6, "maps of moving casters", unit="maps per frame", source="measured", ge=1, le=1024)
         mover_resolution: int = setting(
-            256, "texels per side of those maps", unit="texels", source="measured", ge=8, le=2048
+            128, "texels per side of those maps", unit="texels", source="measured", ge=8, le=2048
         )
         still_samples: int = setting(
             1024, "points of the light that a still view is given", unit="maps", ge=0, le=10**6
@@ -185,13 +184,16 @@ class TcAdaptive(Technique):
         p = self.params
         out = PoolSteps()
         out.bias, out.filled, out.head = p.device_bias, plan.filled, plan.head
-        out.tests = len(plan.draws) if plan.fills else p.tests
-        out.refresh, out.settled, out.new_tests = p.tests, p.settled, p.new_tests
-        is_still = kept.still_frames(frame) > 0
-        out.full = out.limit = float(kept.maps if is_still else min(p.window, kept.maps))
-        out.clip = 0.0 if is_still or plan.fills else p.clip
+        out.tests = p.tests
+        out.settled, out.new_tests, out.clip = p.settled, p.new_tests, p.clip
+        out.full = out.limit = float(plan.filled)
+        if kept.still_frames(frame) > 0:  # nothing drifts: every map counts once
+            out.clip = 0.0
+            if plan.fills:
+                out.tests = len(plan.draws)
+        out.full -= 0.5  # sums that were scaled to the limit may lie a rounding below it
         if plan.refines:
-            out.tests = out.refresh = out.settled = 0 if finished else len(plan.draws)
+            out.tests = out.settled = 0 if finished else len(plan.draws)
             out.limit = NO_LIMIT
         out.has_history = int(has_history)
         out.depth_epsilon = p.depth_epsilon * frame.reach

@@ -219,7 +219,7 @@ def test_history_follows_a_slow_eye(device: str) -> None:
 
     scene = small.box_on_ground(LAMP, path)
     expected = truth(scene, device, 39, samples=256)
-    walked = walk(scene, device, 40)[-1].visibility
+    walked = walk(scene, device, 40, samples=32, clip=0.0)[-1].visibility  # clipping would hide what sticks
     alone = open_session(scene, device)
     alone.begin(39)
     direct = alone.render(technique("multi_shadow_map", samples=32)).visibility
@@ -309,7 +309,7 @@ def test_no_shadow_of_a_mover_is_culled(kind: str, device: str) -> None:
     met = (aside <= reach.radius).any(axis=1)
     reached = out.numpy() == 1
     assert 0.01 < met.mean() and not (met & ~reached).any()
-    assert reached.mean() < 3.0 * met.mean(), "so much is reached that nothing is saved"
+    assert reached.mean() < 0.35, "so much is reached that little is saved"
 
 
 # ---- sessions -----------------------------------------------------------------------------------------------------------
