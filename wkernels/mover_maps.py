@@ -25,20 +25,33 @@ CLOSEST = 0.05  # a light nearer to the box than this share of its farthest corn
 MARGIN = 2.0  # texels round the movers
 
 
-def box_view(light_ws: np.ndarray, corners: np.ndarray, resolution: int) -> HostView | None:
-    """The view of a box from a point of a light, with ``MARGIN`` texels round it; None where no one view holds it.
+def box_axes(light_ws: np.ndarray, corners: np.ndarray) -> np.ndarray | None:
+    """Right, up and forward, rows of (3, 3), of a view from a point of a light at the middle of a box; None within it.
 
     Args:
-        light_ws: (4,), rebased world, a point or a direction. corners: (N, 3). resolution: Texels per side.
+        light_ws: (4,), rebased world, a point or a direction. corners: (N, 3).
     """
     middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
-    is_point = light_ws[3] != 0.0
-    forward = middle - light_ws[:3] if is_point else -light_ws[:3]
+    forward = middle - light_ws[:3] if light_ws[3] != 0.0 else -light_ws[:3]
     length = float(np.linalg.norm(forward))
     if length == 0.0:
         return None
-    forward = forward / length
-    right, up = orthonormal_frame(-forward)
+    right, up = orthonormal_frame(-forward / length)
+    return np.stack([right, up, forward / length])
+
+
+def box_view(light_ws: np.ndarray, corners: np.ndarray, axes: np.ndarray | None, resolution: int) -> HostView | None:
+    """The view of a box from a point of a light, with ``MARGIN`` texels round it; None where no one view holds it.
+
+    Args:
+        light_ws: (4,), rebased world, a point or a direction. corners: (N, 3). axes: As of ``box_axes``, of this or, for
+            points, of any other point of the light. resolution: Texels per side.
+    """
+    if axes is None:
+        return None
+    right, up, forward = axes
+    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    is_point = light_ws[3] != 0.0
     offsets = corners - (light_ws[:3] if is_point else middle)
     x, y, depth = offsets @ right, offsets @ up, offsets @ forward
     low, high = float(depth.min()), float(depth.max())
@@ -113,7 +126,12 @@ class MoverMaps:
         """Draws a map for each point of the light, (N, 4); ``box`` holds the movers. Returns the pool."""
         count = len(points_of_light)
         rows = -(-count // self._columns)
-        views = [box_view(light, box.corners, self.resolution) for light in points_of_light]
+        corners = box.corners
+        axes = box_axes(points_of_light[0], corners)
+        views = []
+        for light in points_of_light:
+            own = axes if light[3] != 0.0 else box_axes(light, corners)
+            views.append(box_view(light, corners, own, self.resolution))
         held = [view for view in views if view is not None]
         if len(held) < count or rows * self.resolution > MAX_SIDE:
             return self._draw_apart(points_of_light, box, cull)

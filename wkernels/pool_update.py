@@ -25,9 +25,7 @@ class PoolSteps:
     head: int  # one past the map that is tested first; the others follow backwards, round the pool
     filled: int  # maps of the pool that are drawn
     tests: int  # of a pixel with history
-    new_tests: int  # of one without history
-    settled: int  # of one that has met every map, and all of them agreed
-    full: float  # n from which on a pixel has met every map
+    new_tests: int  # of one without
     limit: float  # largest n; sums are scaled down to stay there
     clip: float  # standard errors of this frame's tests that history may differ by; 0: any
     has_history: int
@@ -61,14 +59,6 @@ def may_reach(reach: MoverReach, position_ws: wp.vec3) -> bool:
     if reach.light_ws[3] == 0.0:
         widest = reach.spread * 2.0 * (along + reach.radius)
     return aside <= 1.001 * (reach.radius + widest)
-
-
-@wp.func
-def tests_wanted(rho: float, n: float, steps: PoolSteps) -> int:
-    """How many maps a pixel with these sums is tested against."""
-    agree = wp.where(rho <= 0.0, 1, wp.where(rho >= n, 1, 0))
-    known = wp.where(agree != 0, steps.settled, steps.tests)
-    return wp.where(n <= 0.0, steps.new_tests, wp.where(n >= steps.full, known, steps.tests))
 
 
 @wp.func
@@ -131,7 +121,8 @@ def update_sums(
             sums = fetch_sums(previous, previous_view, position_ws, normal_ws, steps.depth_epsilon)
         rho = float(0.0)
         n = float(0.0)
-        for i in range(wp.min(tests_wanted(sums.rho, sums.n, steps), steps.filled)):
+        wanted = wp.where(sums.n > 0.0, steps.tests, steps.new_tests)
+        for i in range(wp.min(wanted, steps.filled)):
             m = map_at(i, steps)
             found = map_test(pool, m, steps.bias, flags & CASTS, position_ws, normal_ws)
             weight = pool.weight[m] * float(found.holds)

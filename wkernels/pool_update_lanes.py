@@ -338,9 +338,7 @@ def update_sums_lanes(
     wanted = Ints(0)
     most = int(0)
     for k in range(LANES):
-        agree = wp.where(rho[k] <= 0.0, 1, wp.where(rho[k] >= n[k], 1, 0))
-        known = wp.where(agree != 0, steps.settled, steps.tests)
-        want = wp.where(n[k] <= 0.0, steps.new_tests, wp.where(n[k] >= steps.full, known, steps.tests))
+        want = wp.where(n[k] > 0.0, steps.tests, steps.new_tests)
         wanted[k] = receives[k] * wp.min(want, steps.filled)
     most = wp.max(wanted)
     more_rho = Floats(0.0)

@@ -8,9 +8,10 @@ shadows of movers, which start anew in every frame (17 to 51 %). So here
 
 1. maps of the casters that stand still are kept, a pool of ``samples`` points of the light (Halton), drawn ``draws`` a
    frame until it is full. A frame then draws none, and a pixel that is new to the eye is tested against ``new_tests``
-   maps at once: no start by another method, and a camera cut costs nothing once the pool is full;
-2. a pixel is tested against ``tests`` maps a frame, the pool's in turn; one that has met every map, which all agreed,
-   against ``settled`` only. Sums rho and n (equations 1, 2 and 5) are remembered up to n = ``samples``;
+   maps at once: no start by another method, and a cut costs nothing more once the pool is full;
+2. a pixel is tested against ``tests`` maps a frame, the pool's in turn. Sums rho and n (equations 1, 2 and 5) are
+   remembered up to n = ``samples``, and under a moving eye clipped to ``clip`` standard errors round what the frame's
+   own tests say;
 3. history is carried, not interpolated (``carried_history``): a pixel takes over one texel of the last frame whole and
    remembers how far off its place is;
 4. movers have maps of their own, ``mover_maps`` small ones that hold nothing else, drawn in one go in every frame from
@@ -91,9 +92,6 @@ class TcAdaptive(Technique):
         new_tests: int = setting(
             4, "the same of a pixel without history", unit="tests per frame", source="measured", ge=1, le=4096
         )
-        settled: int = setting(
-            1, "the same of a pixel whose tests all agreed", unit="tests per frame", source="measured", ge=0, le=4096
-        )
         clip: float = setting(
             2.0,
             "how far history may differ from a frame's own tests under a moving eye; 0: not clipped",
@@ -164,12 +162,16 @@ class TcAdaptive(Technique):
         box = frame.geometry.bounds(casters=True, moving=True)
         if box.empty:
             return
-        made: MoverMaps = frame.product(
-            "mover maps", "mover maps", (), lambda old: old or MoverMaps(frame, p.mover_maps, p.mover_resolution)
-        )
         maps = min(p.mover_maps, filled)
-        with frame.timed("mover maps"):
-            movers = made.draw(kept.points[:maps], box, p.cull)
+        points = kept.points[:maps]
+
+        def draw(old: MoverMaps | None) -> MoverMaps:
+            made = old or MoverMaps(frame, p.mover_maps, p.mover_resolution)
+            made.draw(points, box, p.cull)
+            return made
+
+        inputs = frame.geometry.version, points.tobytes()
+        movers = frame.product("mover maps", "mover maps", inputs, draw).pool
         with frame.timed("mover tests"):
             inputs = [kept.pool, movers, maps, p.device_bias, mover_reach(frame.light, box)]
             outputs = [visibility, error]
@@ -185,15 +187,14 @@ class TcAdaptive(Technique):
         out = PoolSteps()
         out.bias, out.filled, out.head = p.device_bias, plan.filled, plan.head
         out.tests = p.tests
-        out.settled, out.new_tests, out.clip = p.settled, p.new_tests, p.clip
-        out.full = out.limit = float(plan.filled)
+        out.new_tests, out.clip = p.new_tests, p.clip
+        out.limit = float(plan.filled)
         if kept.still_frames(frame) > 0:  # nothing drifts: every map counts once
             out.clip = 0.0
             if plan.fills:
                 out.tests = len(plan.draws)
-        out.full -= 0.5  # sums that were scaled to the limit may lie a rounding below it
         if plan.refines:
-            out.tests = out.settled = 0 if finished else len(plan.draws)
+            out.tests = 0 if finished else len(plan.draws)
             out.limit = NO_LIMIT
         out.has_history = int(has_history)
         out.depth_epsilon = p.depth_epsilon * frame.reach
