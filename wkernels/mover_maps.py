@@ -44,8 +44,8 @@ def box_view(light_ws: np.ndarray, corners: np.ndarray, axes: np.ndarray | None,
     """The view of a box from a point of a light, with ``MARGIN`` texels round it; None where no one view holds it.
 
     Args:
-        light_ws: (4,), rebased world, a point or a direction. corners: (N, 3). axes: As of ``box_axes``, of this or, for
-            points, of any other point of the light. resolution: Texels per side.
+        light_ws: (4,), rebased world, a point or a direction. corners: (N, 3).
+        axes: As of ``box_axes``, of this or, for points, of any other point of the light. resolution: Texels per side.
     """
     if axes is None:
         return None
@@ -149,9 +149,8 @@ class MoverMaps:
         inputs = [self.points, self.pool.constants, nearest, self._columns, self.resolution]
         grid = (len(self.points), count)
         launch(copy_into_squares, grid, inputs, [points], device=self.device, threads=self.threads)
-        self._rasteriser.draw(
-            points, indices, _image_view(*image.shape[::-1], max(view.far for view in held)), image, None, cull
-        )
+        shown = _image_view(image.shape[1], image.shape[0], max(view.far for view in held))
+        self._rasteriser.draw(points, indices, shown, image, None, cull)
         store_layers(image, self._columns, nearest, 0, self.pool, self.threads)
         return self.pool
 

@@ -13,7 +13,8 @@ shadows of movers, which start anew in every frame (17 to 51 %). So here
    remembered up to n = ``samples``, and under a moving eye clipped to ``clip`` standard errors round what the frame's
    own tests say;
 3. history is carried, not interpolated (``carried_history``): a pixel takes over one texel of the last frame whole and
-   remembers how far off its place is;
+   remembers how far off its place is. Without that it sticks to the screen under a slow eye (four times the error at
+   0.3 pixels a frame);
 4. movers have maps of their own, ``mover_maps`` small ones that hold nothing else, drawn in one go in every frame from
    points of the light that the pool has too. What they hide of the light, where the pool's map of the same point finds
    it open, is taken from the visibility of what stands still. History never sees a mover: nothing trails and nothing
@@ -23,14 +24,15 @@ shadows of movers, which start anew in every frame (17 to 51 %). So here
 
 The standard error is that of the Beta distribution with Jeffreys' prior (half a test of either outcome), as equation
 3, sqrt(psi (1 - psi) / (n - 1)), is 0 where all tests agree so far: false certainty for 44 % of pixels with psi = .05
-at n = 16. As samples are low-discrepancy and shared with neighbours, it is conservative.
+at n = 16. As samples are low-discrepancy it is two to three times too large on a still view.
 
 Deviations from Scherzer et al. 2009: all of the above, and no overscan (a pixel at the border is as cheap as any new
 one), no start by percentage-closer soft shadows, no filter for show. Their depth test of history is kept.
 Layers of a map are chosen by the first that holds a point; a point that a map does not hold is not counted.
 
-Known artefacts: the first few frames after the start have few maps, hence steps; ``samples`` + 1 levels under a moving
-eye; ``mover_maps`` + 1 levels in the shadow of a mover; the maps' own aliasing, which different points average but do
+Known artefacts: the first ``samples`` / ``draws`` frames after the start draw maps, so that they take up to three times
+as long as later ones, and the first two have steps; noise where pixels have just come into view; ``mover_maps`` + 1
+levels in the shadow of a mover; the maps' own aliasing, which different points average but do
 not remove; memory, 4 ``samples`` ``resolution``^2 bytes, for which fewer maps are kept beyond 512 MiB. With
 projections that follow the eye maps go out of date and ``draws`` are drawn in every frame. A scene whose casters all
 move has the cost of drawing them ``mover_maps`` times a frame.
@@ -49,9 +51,10 @@ from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer
 from wkernels.kept_maps import KeptMaps, Schedule
 from wkernels.lanes import flat_floats, runs_per_row, uses_lanes
+from wkernels.map_pool_lanes import point_views, pool_views
 from wkernels.mover_maps import MoverMaps, mover_reach
 from wkernels.pool_update import PoolSteps, add_movers, update_sums
-from wkernels.pool_update_lanes import add_movers_lanes, point_views, pool_views, update_sums_lanes
+from wkernels.pool_update_lanes import add_movers_lanes, update_sums_lanes
 
 NO_LIMIT = 2.0**22  # a quarter of where whole numbers in float32 stop being exact
 
@@ -170,8 +173,8 @@ class TcAdaptive(Technique):
             made.draw(points, box, p.cull)
             return made
 
-        inputs = frame.geometry.version, points.tobytes()
-        movers = frame.product("mover maps", "mover maps", inputs, draw).pool
+        shown = frame.geometry.version, points.tobytes()
+        movers = frame.product("mover maps", "mover maps", shown, draw).pool
         with frame.timed("mover tests"):
             inputs = [kept.pool, movers, maps, p.device_bias, mover_reach(frame.light, box)]
             outputs = [visibility, error]
