@@ -1,10 +1,10 @@
 """Soft shadows from light depth maps that are kept, not drawn anew: our own, after Scherzer et al. 2009.
 
 Scherzer, Schwaerzler, Mattausch and Wimmer 2009 draw one map a frame from the next point of the light and remember in
-screen space what it said. Measured on the walkthroughs here (docs/tc_adaptive.md), that spends most of a frame on
-drawing a map that is thrown away, and most of the error that is left has other causes than few samples: history
-blurred by interpolation in every frame (55 to 77 % of the squared error lies where n > 16 while the eye moves), and
-shadows of movers, which start anew in every frame (17 to 51 %). So here
+screen space what it said. Measured on the walkthroughs here (docs/tc_adaptive.md), a fifth to two fifths of its frame go
+into a map that is thrown away, and the error that is left has other causes than few samples: while the eye moves 39 to
+77 % of the squared error lie where n > 16, and grow with the age of interpolated history; shadows of movers, which
+start anew in every frame, have 17 to 51 %. So here
 
 1. maps of the casters that stand still are kept, a pool of ``samples`` points of the light (Halton), drawn ``draws`` a
    frame until it is full. A frame then draws none, and a pixel that is new to the eye is tested against ``new_tests``
@@ -19,8 +19,9 @@ shadows of movers, which start anew in every frame (17 to 51 %). So here
    points of the light that the pool has too. What they hide of the light, where the pool's map of the same point finds
    it open, is taken from the visibility of what stands still. History never sees a mover: nothing trails and nothing
    starts anew;
-5. a view that stands still goes on: once its pixels have met every map, new points of the light replace old ones, and
-   up to ``still_samples`` points the error falls as that of ``multi_shadow_map`` with so many samples.
+5. a view that stands still goes on: once its pixels have met every map, a new point of the light replaces an old one
+   in each frame, and the error goes on falling, as n^-0.6 where that was measured. After ``still_samples`` frames
+   nothing is done any more.
 
 The standard error is that of the Beta distribution with Jeffreys' prior (half a test of either outcome), as equation
 3, sqrt(psi (1 - psi) / (n - 1)), is 0 where all tests agree so far: false certainty for 44 % of pixels with psi = .05
@@ -32,10 +33,10 @@ Layers of a map are chosen by the first that holds a point; a point that a map d
 
 Known artefacts: the first ``samples`` / ``draws`` frames after the start draw maps, so that they take up to three times
 as long as later ones, and the first two have steps; noise where pixels have just come into view; ``mover_maps`` + 1
-levels in the shadow of a mover; the maps' own aliasing, which different points average but do
-not remove; memory, 4 ``samples`` ``resolution``^2 bytes, for which fewer maps are kept beyond 512 MiB. With
-projections that follow the eye maps go out of date and ``draws`` are drawn in every frame. A scene whose casters all
-move has the cost of drawing them ``mover_maps`` times a frame.
+levels in the shadow of a mover; the maps' own aliasing, which different points average but do not remove; memory, 4
+``samples`` ``resolution``^2 bytes, for which fewer maps are kept beyond 512 MiB. With projections that follow the eye
+maps go out of date and ``draws`` are drawn in every frame. A scene whose casters all move has the cost of drawing them
+``mover_maps`` times a frame.
 """
 
 from __future__ import annotations
@@ -108,7 +109,11 @@ class TcAdaptive(Technique):
             128, "texels per side of those maps", unit="texels", source="measured", ge=8, le=2048
         )
         still_samples: int = setting(
-            1024, "points of the light that a still view is given", unit="maps", ge=0, le=10**6
+            1024,
+            "frames for which a still view goes on, with a point of the light in each",
+            unit="frames",
+            ge=0,
+            le=10**6,
         )
         depth_epsilon: float = setting(
             1e-4, "largest depth difference of a point and its history", unit="scene diagonals", gt=0.0, le=1.0
