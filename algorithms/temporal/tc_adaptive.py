@@ -1,7 +1,7 @@
 """Soft shadows from light depth maps that are kept, not drawn anew: our own, after Scherzer et al. 2009.
 
 Scherzer, Schwaerzler, Mattausch and Wimmer 2009 draw one map a frame from the next point of the light and remember in
-screen space what it said. Measured on the walkthroughs here (docs/tc_adaptive.md), a fifth to two fifths of its frame go
+screen space what it said. Measured on the walkthroughs here (docs/tc_adaptive.md), a fifth to two fifths of a frame go
 into a map that is thrown away, and the error that is left has other causes than few samples: while the eye moves 39 to
 77 % of the squared error lie where n > 16, and grow with the age of interpolated history; shadows of movers, which
 start anew in every frame, have 17 to 51 %. So here
