@@ -90,7 +90,9 @@ def find_moments_lanes(
 
 
 @wp.func
-def lit_share_run(chebyshev: Chebyshev, moments: wp.array(dtype=float), receivers: ReceiverRun, resolution: int):
+def lit_share_run(
+    chebyshev: Chebyshev, moments: wp.array(dtype=float), receivers: ReceiverRun, resolution: int
+):
     """``lit_share`` of each lane with a receiver from ``sample_bilinear`` at its place, the others' visibility.
 
     ``moments`` are those of all layers, flat.

@@ -261,9 +261,7 @@ def test_progressive_references_end_in_the_whole_one() -> None:
         steps = list(renderer.progressive(0, batch=32))
         assert [samples for samples, _ in steps] == [32, 64, 96, 100]
         whole, last = renderer.render(0), steps[-1][1]
-        np.testing.assert_allclose(
-            last.visibility, whole.visibility, atol=0.02 if of.lights[0].texture is not None else 0
-        )
+        np.testing.assert_allclose(last.visibility, whole.visibility, atol=0.02 if of.lights[0].texture is not None else 0)
         errors = [np.nanmean(made.standard_error) for _, made in steps]
         assert errors == sorted(errors, reverse=True)
 
