@@ -117,18 +117,23 @@ class Technique(ABC):
         family: Folder.
         paper: Keys in references.bib.
         needs: What a scene must offer.
+        hard: Whether it shows the hard shadow of a soft light's centre; always so in the family ``hard``.
         bias_sign: Sign of the mean error by the method's nature: ``darker``, ``lighter`` or ``none``.
         limits: What it must equal in the limit; tested.
         expected_failures: Conformance checks that the published method cannot pass, each with its reason.
+        stability_limits: Stiff cases (``experiments.stability``) in which the published method breaks by nature, each
+            with its reason.
     """
 
     name: ClassVar[str]
     family: ClassVar[str]
     paper: ClassVar[tuple[str, ...]]
     needs: ClassVar[Needs] = Needs()
+    hard: ClassVar[bool] = False
     bias_sign: ClassVar[Literal["darker", "lighter", "none"]]
     limits: ClassVar[tuple[Limit, ...]] = ()
     expected_failures: ClassVar[dict[str, str]] = {}
+    stability_limits: ClassVar[dict[str, str]] = {}
     Params: ClassVar[type[Params]] = Params
 
     def __init__(self, params: Params | None = None) -> None:

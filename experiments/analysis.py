@@ -1,7 +1,7 @@
 """``kind: analysis``: perspective error along the view vector from closed forms (Stingl 2011, section 5.8).
 
 Writes analysis.csv with ``label,z,m_x,m_z`` at unit resolution ratios, both sides of each split border, factors.csv
-with each curve's greatest errors and storage factor, and a plot.
+with each curve's greatest errors and storage factor, published.csv where curves give the source's figures, and a plot.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from algorithms.projection import WarpShape, warps
 from experiments.config.analysis import Analysis, Curve
 from experiments.environment import describe_machine
+from experiments.published import compare_published, write_published
 from experiments.report.style import INK, Look, log_axis, save, styled
 from experiments.store import Store
 from experiments.tables import table_text, write_text
@@ -107,6 +108,8 @@ def run_analysis(analysis: Analysis, out: str | Path) -> Path:
     ]
     write_text(out / "analysis.csv", table_text(COLUMNS, rows))
     write_text(out / "factors.csv", table_text(FACTORS, [_factors(e) for e in found]))
+    published = {e.curve.label: e.curve.published for e in found}
+    write_published(out, compare_published(published, {e.curve.label: _quantities(e) for e in found}))
     save(plot_errors(found), out / "plots" / "perspective_error", ["png", "svg"])
     return out / "analysis.csv"
 
@@ -129,6 +132,15 @@ def _factors(errors: Errors) -> dict[str, str | int | float]:
     curve = errors.curve
     factor = curve.splits * m_x * m_z
     return dict(zip(FACTORS, (curve.label, curve.splits, curve.warp, m_x, m_z, factor), strict=True))
+
+
+def _quantities(errors: Errors) -> dict[str, float]:
+    """Values of ``experiments.published.CURVE_QUANTITIES``."""
+    out: dict[str, float] = {}
+    for name, m in (("m_x", errors.m_x), ("m_z", errors.m_z)):
+        values = (m[0], m[-1], m.min(), m.max())
+        out |= {f"{name}_{at}": float(v) for at, v in zip(("near", "far", "min", "max"), values, strict=True)}
+    return out | {"storage_factor": errors.curve.splits * out["m_x_max"] * out["m_z_max"]}
 
 
 def plot_errors(found: list[Errors]) -> Figure:

@@ -155,6 +155,23 @@ def bench(
         run_bench(cases=case or [], as_json=as_json, threads=threads, repeats=repeats, out=out)
 
 
+@app.command()
+def compare(
+    a: Annotated[Path, typer.Argument(metavar="A", help="Result folder.", show_default=False)],
+    b: Annotated[Path, typer.Argument(metavar="B", help="Result folder of the same scene.", show_default=False)],
+    as_json: Annotated[bool, typer.Option("--json", help="Everything as JSON.")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the table as CSV, too.")] = None,
+    gate: Annotated[
+        float | None, typer.Option(min=0.0, metavar="PERCENT", help="End with 1 where an RMSE grew by more than this.")
+    ] = None,
+) -> None:
+    """Compare the errors and times of two runs, label by label, with confidence intervals."""
+    from experiments.commands.compare import compare_folders
+
+    if not compare_folders(a, b, as_json=as_json, out=out, gate=gate):
+        raise typer.Exit(1)
+
+
 @app.command("new-technique")
 def new_technique(
     name: Annotated[str, typer.Argument(metavar="NAME", help="In snake_case, such as my_pcf.", show_default=False)],

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from experiments.config.schema import Experiment
     from experiments.config.techniques import TechniqueRun
     from experiments.reference import ReferenceRenderer
+    from wkernels.sampling_rate import MapUse
     from wkernels.scene import Scene
 
 
@@ -73,6 +74,9 @@ class Engine(Protocol):
 
     def ws_to_ss(self, frame: int) -> np.ndarray:
         """The eye's matrix of a frame, float64 (4, 4), rows x, y, linear depth, w."""
+
+    def map_use(self, session: Any) -> MapUse | None:
+        """How the light map that the session's last frame read suits it; None if it read none. Not timed."""
 
 
 class WarpEngine:
@@ -152,6 +156,7 @@ class WarpEngine:
                 width=experiment.image.width,
                 height=experiment.image.height,
                 light=experiment.light,
+                centre=experiment.reference.light == "centre",
                 device=self.device,
                 threads=self.threads,
                 # Not the techniques' samples: a method that shared them would share the error and look better.
@@ -166,6 +171,12 @@ class WarpEngine:
 
         image = self.experiment.image
         return eye_view(self.scene.camera(frame), image.width, image.height, np.zeros(3)).ws_to_ss
+
+    def map_use(self, session: Any) -> MapUse | None:
+        """See ``wkernels.sampling_rate``."""
+        from wkernels.sampling_rate import map_use
+
+        return map_use(session)
 
 
 def check_device(device: str) -> None:

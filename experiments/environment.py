@@ -50,6 +50,7 @@ def describe_run(experiment: Experiment, engine: Engine, *, skips: bool) -> dict
             "height": experiment.image.height,
             "frames": list(experiment.frames),
             "reference_samples": experiment.reference.samples if experiment.reference else None,
+            "reference_light": experiment.reference.light if experiment.reference else None,
             "repeats": experiment.repeats,
             "baseline": experiment.baseline,
             "labels": [

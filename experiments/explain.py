@@ -9,12 +9,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from algorithms.composition import DEFAULTS as PLAINEST
+from algorithms.composition import compose
 from experiments.config.needs import unmet_need
-from experiments.metrics import METRICS
+from experiments.metrics import MAP_METRICS, METRICS
+from wkernels.geometry import Bounds
+from wkernels.views import eye_view
 
 if TYPE_CHECKING:
     from experiments.config.schema import Experiment
-    from wkernels.scene import Scene
+    from experiments.config.techniques import TechniqueRun
+    from wkernels.scene import Mesh, Scene
+
+FRAMES_LOOKED_AT = 30  # of a walkthrough, evenly spaced, for what depends on where the eye is
 
 
 def explain(experiment: Experiment, plugins: Mapping[str, type] | None = None) -> str:
@@ -30,9 +37,10 @@ def explain(experiment: Experiment, plugins: Mapping[str, type] | None = None) -
         plugins = load_all()
     scene = experiment.load_scene()
     sections = [
-        ("Scene", _scene_lines(experiment, scene)),
-        ("What will run", _run_lines(experiment, plugins)),
+        ("Scene", scene_lines(experiment, scene)),
+        ("What will run", run_lines(experiment, plugins)),
         ("Amount of work", _work_lines(experiment, plugins)),
+        *([("Views", _view_lines(experiment))] if experiment.views else []),
         ("Left out", _left_out_lines(experiment, scene, plugins)),
     ]
     parts = [f"Experiment {experiment.name} (walkthrough)"]
@@ -40,7 +48,8 @@ def explain(experiment: Experiment, plugins: Mapping[str, type] | None = None) -
     return "\n".join(parts)
 
 
-def _scene_lines(experiment: Experiment, scene: Scene) -> list[str]:
+def scene_lines(experiment: Experiment, scene: Scene) -> list[str]:
+    """Meshes, light and path."""
     casters = [mesh for mesh in scene.meshes if mesh.casts]
     triangles = sum(len(mesh.faces) for mesh in scene.meshes)
     light = scene.lights[experiment.light]
@@ -59,7 +68,8 @@ def _scene_lines(experiment: Experiment, scene: Scene) -> list[str]:
     ]
 
 
-def _run_lines(experiment: Experiment, plugins: Mapping[str, type]) -> list[str]:
+def run_lines(experiment: Experiment, plugins: Mapping[str, type]) -> list[str]:
+    """A line per label: technique, parameters and projection that are not at their defaults, and what it relies on."""
     width = max(len(run.label) for run in experiment.runs)
     lines = []
     for run in experiment.runs:
@@ -67,6 +77,9 @@ def _run_lines(experiment: Experiment, plugins: Mapping[str, type]) -> list[str]
         defaults = cls.Params().model_dump()
         changed = ", ".join(f"{key}={value}" for key, value in run.params.items() if defaults.get(key) != value)
         notes = [f"{cls.family}/{run.name}", changed or "all parameters at their defaults"]
+        projection = [f"{k}={v}" for k, v in (run.projection or {}).items() if PLAINEST.get(k) != v]
+        if projection:
+            notes.append(f"projection {', '.join(projection)}")
         if cls.needs.history:
             notes.append("uses earlier frames")
         if run.label == experiment.baseline:
@@ -91,12 +104,29 @@ def _work_lines(experiment: Experiment, plugins: Mapping[str, type]) -> list[str
         rays = len(chosen) * pixels * experiment.reference.samples
         lines.append(
             f"reference on {len(chosen)} frame{_s(len(chosen))}: {_ranges(chosen)}; "
-            f"{experiment.reference.samples} light samples, at most {rays:,} rays; "
+            f"{_samples_of(experiment)}, at most {rays:,} rays; "
             "frames in the cache are not traced again"
         )
     asked = set(experiment.metrics) | {metric.name for metric in METRICS.values() if metric.always}
     lines.append(f"metrics: {', '.join(name for name in METRICS if name in asked)}, m_x_max, m_z_max")
     return lines
+
+
+def _view_lines(experiment: Experiment) -> list[str]:
+    from experiments.views.kinds import KINDS, picture_names
+
+    views = experiment.views
+    assert views is not None and views.frames is not None and views.image is not None
+    names = [name for kind in KINDS if kind in views.kinds for name in picture_names(kind, list(views.modes))]
+    frames = list(views.frames) if isinstance(views.frames, list) else list(views.frames.indices())
+    whose = ", ".join(views.labels) if views.labels else "every label that reads a light map"
+    size = views.image
+    return [
+        f"of {whose}, on frame{_s(len(frames))} {_ranges(frames)}; "
+        f"third-person pictures of {size.width} x {size.height}",
+        f"{len(names)} picture{_s(len(names))} each, to images/LABEL/views: {', '.join(names)}",
+        "what has no meaning for a label is named in left_out.csv; none of this is timed",
+    ]
 
 
 def _left_out_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, type]) -> list[str]:
@@ -107,8 +137,10 @@ def _left_out_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, 
     if not casters:
         lines.append("depth maps, blocker searches and rays: no mesh casts, everything is lit")
     elif not any(mesh.moving for mesh in casters) and len(experiment.frames) > 1:
+        follows = not _camera_rests(experiment, scene) and any(_follows_eye(run) for run in experiment.runs)
+        maps = "depth maps that do not follow the eye" if follows else "depth maps"
         lines.append(
-            "building depth maps and ray structures anew on later frames: no caster moves and neither does the light"
+            f"building {maps} and ray structures anew on later frames: no caster moves and neither does the light"
         )
     if (
         len(experiment.frames) > 1
@@ -130,6 +162,9 @@ def _left_out_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, 
         for name in ("flip", "flicker")
         if name not in experiment.metrics and (experiment.reference or not _needs_reference(name))
     ]
+    lines += _fallback_lines(experiment, scene)
+    if set(MAP_METRICS).isdisjoint(experiment.metrics):
+        lines.append("sampling rates per pixel and wasted map area: not among the experiment's metrics (sampling)")
     used = {run.name for run in experiment.runs}
     for name, cls in plugins.items():
         if name not in used and (why := unmet_need(cls, scene, light)):
@@ -137,8 +172,49 @@ def _left_out_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, 
     return lines or ["nothing that is known before rendering"]
 
 
+def _follows_eye(run: TechniqueRun) -> bool:
+    return hasattr(compose(run.projection), "near")
+
+
+def _fallback_lines(experiment: Experiment, scene: Scene) -> list[str]:
+    """What the projections cannot do, or need not, on some of the frames: from boxes, with the camera's near plane."""
+    receivers, casters = Bounds(), Bounds()
+    for mesh in scene.meshes:
+        for bounds, takes_part in ((receivers, mesh.receives), (casters, mesh.casts)):
+            if takes_part:
+                bounds.add(_corners(mesh, experiment.frames[0]))
+    frames = experiment.frames[:: -(-len(experiment.frames) // FRAMES_LOOKED_AT)]
+    lines: list[str] = []
+    for run in experiment.runs:
+        views: Any = compose(run.projection) if _follows_eye(run) and not receivers.empty else None
+        counts: dict[tuple[str, str], int] = {}
+        for frame in frames if views is not None else ():
+            eye = eye_view(scene.camera(frame), experiment.image.width, experiment.image.height, np.zeros(3))
+            views(scene.lights[experiment.light].centre, receivers, casters, 64, eye)
+            for told in set(views.left_out):
+                counts[told] = counts.get(told, 0) + 1
+        lines += [
+            f"{run.label}: {what} on {count} of {len(frames)} frame{_s(len(frames))} looked at: {why}"
+            for (what, why), count in counts.items()
+        ]
+    return lines
+
+
+def _corners(mesh: Mesh, frame: int) -> np.ndarray:
+    pose = mesh.object_to_ws(frame)
+    points = np.asarray(mesh.vertices, float) @ pose[:3, :3].T + pose[:3, 3]
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def _samples_of(experiment: Experiment) -> str:
+    assert experiment.reference is not None
+    if experiment.reference.light == "centre":
+        return "the light's centre alone"
+    return f"{experiment.reference.samples} light samples"
+
+
 def _needs_reference(name: str) -> bool:
-    return name not in ("standard_error", "flicker")
+    return name not in ("standard_error", "flicker", *MAP_METRICS)
 
 
 def _camera_rests(experiment: Experiment, scene: Scene) -> bool:

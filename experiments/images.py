@@ -75,6 +75,11 @@ def error_colors(error: np.ndarray) -> np.ndarray:
     return np.rint(255.0 * np.stack(channels, axis=-1)).astype(np.uint8)
 
 
+def standard_error_view(standard_error: np.ndarray) -> np.ndarray:
+    """Heat map of a technique's own standard error on the positive half of ``ERROR_SCALE``; uint8 (H, W, 3)."""
+    return error_view(standard_error, np.zeros_like(standard_error))
+
+
 def error_view(visibility: np.ndarray, reference: np.ndarray) -> np.ndarray:
     """Heat map of ``visibility - reference`` on ``ERROR_SCALE``, the same in every picture; uint8 (H, W, 3)."""
     error = visibility - reference

@@ -33,7 +33,7 @@ class Lane:
     technique: Any = None
     timings: list[Timing] = field(default_factory=list)
     result: FrameLike | None = None
-    before: tuple[int, np.ndarray, np.ndarray] | None = None  # frame, visibility, positions; kept for flicker only
+    before: tuple[int, np.ndarray, np.ndarray] | None = None  # frame, visibility, positions
 
     @property
     def label(self) -> str:

@@ -8,60 +8,27 @@ definition changes, so that numbers of different definitions are never mixed.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
+from experiments.map_metrics import MAP_DESCRIPTORS, MAP_METRICS
+from experiments.measured import HARD_EDGE, Measured, Metric, beside_hard_edge
+
+__all__ = [
+    "GROUPS",
+    "HARD_EDGE",
+    "MAP_METRICS",
+    "METRICS",
+    "Measured",
+    "Metric",
+    "beside_hard_edge",
+    "distinguishable",
+    "evaluate",
+    "flip_map",
+    "signed_error",
+]
+
 FLIP_PIXELS_PER_DEGREE = 67.02  # a 0.7 m wide 4K screen seen from 0.7 m, the value of the FLIP paper
-
-
-@dataclass(frozen=True, eq=False)
-class Measured:
-    """What one frame of one label offers to the metrics.
-
-    Attributes:
-        visibility: (H, W), 1 = lit, NaN where no receiver is seen.
-        standard_error: (H, W) of the technique's light sampling; None for techniques that do not sample the light.
-        reference: (H, W) reference visibility of the same receiver points; None where none was made.
-        reference_standard_error: (H, W), goes with ``reference``.
-        previous: Visibility of the frame before, carried to this frame's receiver points (``carry_over``), (H, W), NaN
-            where these were not seen; None on a first frame or where nothing asked for it.
-    """
-
-    visibility: np.ndarray
-    standard_error: np.ndarray | None = None
-    reference: np.ndarray | None = None
-    reference_standard_error: np.ndarray | None = None
-    previous: np.ndarray | None = None
-
-
-@dataclass(frozen=True)
-class Metric:
-    """One metric.
-
-    Attributes:
-        name: Column in frames.csv and key under ``metrics`` in an experiment file.
-        title: Name for axes and table heads.
-        description: What it measures, in one sentence.
-        unit: Unit of the number.
-        best: The value of a perfect image; larger distance from it is worse.
-        worst: The value furthest from ``best`` that can occur.
-        always: Whether it is computed without being asked for (whenever its inputs exist).
-        from_images: Whether the stored raw images of that frame suffice to compute it again.
-        version: Version of the definition.
-        evaluate: The function; None where an input is missing.
-    """
-
-    name: str
-    title: str
-    description: str
-    unit: str
-    best: float
-    worst: float
-    always: bool
-    from_images: bool
-    version: int
-    evaluate: Callable[[Measured], float | None]
 
 
 def signed_error(visibility: np.ndarray, reference: np.ndarray) -> np.ndarray:
@@ -100,7 +67,9 @@ def _reference_standard_error(m: Measured) -> float | None:
 
 
 def _flicker(m: Measured) -> float | None:
-    return None if m.previous is None else _rms_of_finite(m.visibility - m.previous, m.visibility)
+    if m.previous is None:
+        return None
+    return _rms_of_finite(m.visibility - m.previous, np.where(beside_hard_edge(m.visibility), np.nan, m.visibility))
 
 
 def flip_map(visibility: np.ndarray, reference: np.ndarray) -> np.ndarray:
@@ -217,17 +186,22 @@ METRICS: Mapping[str, Metric] = {
         Metric(
             "flicker",
             "flicker",
-            "Root mean square change of visibility since the frame before, at surface points seen in both.",
+            "Root mean square change of visibility since the frame before, at surface points seen in both and beside a "
+            "hard edge in neither, where what a pixel shows depends on where its centre lies.",
             "visibility",
             best=0.0,
             worst=1.0,
             always=False,
             from_images=False,
-            version=1,
+            version=2,  # 1 counted pixels beside hard edges, which flicker under every technique
             evaluate=_flicker,
         ),
+        *MAP_DESCRIPTORS,
     )
 }
+
+GROUPS: Mapping[str, tuple[str, ...]] = {"sampling": MAP_METRICS}
+"""Names under ``metrics`` in an experiment file that stand for several."""
 
 
 def evaluate(names: frozenset[str], measured: Measured) -> dict[str, float | None]:

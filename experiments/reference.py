@@ -8,6 +8,7 @@ reference of more samples goes on where a cached one of fewer ends, to the same 
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import math
@@ -36,6 +37,7 @@ from wkernels.rays import binomial_standard_error
 
 CACHE_VARIABLE = "WKERNELS_CACHE"
 MAX_SAMPLES = 1_000_000
+PART = 1024  # samples after which what is there is cached, so that an interruption costs no more than these
 AREA_TECHNIQUE, POINT_TECHNIQUE = "reference_multisample", "ray_cast_point_shadow"
 TRACING_MODULES = (
     "rays",
@@ -79,6 +81,7 @@ class ReferenceRenderer:
         samples: Points on the light, 1 to a million; a light without area takes one ray.
         width, height: Pixels.
         light: Index of the light.
+        centre: Whether to ask for the light's centre alone, by one ray: the reference of hard shadows.
         device: The geometry's Warp device.
         threads: CPU threads; None for all. Never changes the result.
         seed: Seed of the sample set.
@@ -96,6 +99,7 @@ class ReferenceRenderer:
         width: int,
         height: int,
         light: int = 0,
+        centre: bool = False,
         device: str = "cpu",
         threads: int | None = None,
         seed: int = 1,
@@ -106,7 +110,7 @@ class ReferenceRenderer:
         self.geometry, self.cache = geometry, cache
         self._size, self._light_index = (width, height), light
         self._device, self._threads, self._seed = device, threads, seed
-        self._has_area = geometry.scene.lights[light].has_area
+        self._has_area = geometry.scene.lights[light].has_area and not centre
         self._samples = int(samples) if self._has_area else 1
         self._session: Session | None = None
         self._technique = _technique(self._has_area, self._samples)
@@ -118,10 +122,31 @@ class ReferenceRenderer:
         held = _read(file, self._size) if file else None
         if held is not None:
             return held
-        begun = self._largest_part(frame) if self.cache else None
-        made = self._trace(frame, self._samples) if begun is None else self._go_on(frame, *begun)
-        if file:
-            _write(file, made)
+        if file is None:
+            return self._trace(frame, self._samples)
+        if not self._has_area or not self._even:
+            whole = self._trace(frame, self._samples)
+            _write(file, whole)
+            return whole
+        return self._trace_in_parts(frame, file)
+
+    def _trace_in_parts(self, frame: int, file: Path) -> Reference:
+        """Goes on from the cached reference of the most samples and caches what it has after every ``PART`` samples."""
+        stem = self._key(frame, samples=0)
+        begun = self._largest_part(stem)
+        done, made = begun if begun else (0, None)
+        own: Path | None = None  # the part that this call wrote last
+        while made is None or done < self._samples:
+            more = min(PART, self._samples - done)
+            traced = self._trace(frame, more, done)
+            made = traced if made is None else self._merge(made, done, traced, more)
+            done += more
+            part = file.with_name(f"{stem}-{done}.npz")
+            _write(part, made)
+            if own:
+                with contextlib.suppress(OSError):
+                    own.unlink()
+            own = part
         return made
 
     def progressive(
@@ -148,21 +173,14 @@ class ReferenceRenderer:
             if error.size == 0 or np.sqrt(np.mean(error**2)) <= standard_error or _since(begin) > budget_s:
                 return
 
-    def _largest_part(self, frame: int) -> tuple[int, Reference] | None:
-        """The cached reference of the most samples, but fewer than wanted, that can be gone on with."""
-        if not self._has_area or not self._even:
-            return None
-        stem = self._key(frame, samples=0)
+    def _largest_part(self, stem: str) -> tuple[int, Reference] | None:
+        """The cached reference of the most samples, but fewer than wanted."""
         counts = (path.stem.removeprefix(f"{stem}-") for path in cache_folder().glob(f"{stem}-*.npz"))
         for samples in sorted((int(c) for c in counts if c.isdigit() and int(c) < self._samples), reverse=True):
             held = _read(cache_folder() / f"{stem}-{samples}.npz", self._size)
             if held is not None:
                 return samples, held
         return None
-
-    def _go_on(self, frame: int, samples: int, begun: Reference) -> Reference:
-        more = self._samples - samples
-        return self._merge(begun, samples, self._trace(frame, more, samples), more)
 
     def _merge(self, first: Reference, samples: int, second: Reference, more: int) -> Reference:
         """The mean of two parts of one set. Of equal weights both are counts, so that nothing is rounded twice."""
@@ -228,6 +246,7 @@ def reference_for(
     width: int,
     height: int,
     light: int = 0,
+    centre: bool = False,
     device: str = "cpu",
     threads: int | None = None,
     seed: int = 1,
@@ -244,6 +263,7 @@ def reference_for(
         width=width,
         height=height,
         light=light,
+        centre=centre,
         device=device,
         threads=threads,
         seed=seed,

@@ -7,21 +7,19 @@ comes before the first frame and is never timed.
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from experiments import metrics
-from experiments.carry_over import carry_over
+from experiments.carry_over import carry_over, disoccluded
 from experiments.engine import Engine, FrameLike, WarpEngine
 from experiments.environment import describe_run
 from experiments.images import error_view, shaded_view, visibility_view, write_exr, write_png
 from experiments.lanes import Lane, Timing, pass_medians, timing_columns
 from experiments.store import Store
-from experiments.tables import write_text
 from wkernels.errors import InputError
 
 if TYPE_CHECKING:
@@ -133,6 +131,8 @@ class _Walkthrough:
         self.total = len(experiment.runs) * len(experiment.frames)
         self.done = len(stored)
         self.wants_flicker = "flicker" in experiment.metrics
+        self._unseen: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+        self.wants_map_use = not set(metrics.MAP_METRICS).isdisjoint(experiment.metrics)
         reference = experiment.reference
         self.reference_frames = set(experiment.frames[:: reference.every]) if reference else set()
 
@@ -197,8 +197,7 @@ class _Walkthrough:
         if lane.failed or lane.session is None or lane.result is None:
             return
         lane.session.advance()
-        if self.wants_flicker:
-            lane.before = (frame, lane.result.visibility, lane.result.world_position)
+        lane.before = (frame, lane.result.visibility, lane.result.world_position)
         lane.timings, lane.result = [], None
 
     def _fail(self, lane: Lane, frame: int, error: Exception) -> None:
@@ -206,12 +205,7 @@ class _Walkthrough:
         lane.failed = True
         lane.session = lane.technique = lane.before = lane.result = None
         lane.timings = []
-        short = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-        folder = self.store.out / "failures"
-        folder.mkdir(exist_ok=True)
-        write_text(folder / f"{lane.label}.txt", "".join(traceback.format_exception(error)))
-        row = {"technique": lane.run.name, "label": lane.label, "frame": frame, "error": short}
-        self.store.append("failures", [row])
+        self.store.record_failure(lane.run.name, lane.label, frame, error)
 
     # ---- Storing ----
 
@@ -221,10 +215,11 @@ class _Walkthrough:
         key = {"technique": lane.run.name, "label": lane.label, "frame": frame}
         if reference is not None or frame == self.experiment.frames[-1]:
             self._store_images(lane.label, frame, result, reference)
+        skipped = self._store_views(lane, frame, result, reference)
         self.store.append("passes", [{**key, "pass": name, "ms": ms} for name, ms in pass_medians(lane.timings)])
         left_out = [
             {"label": lane.label, "frame": frame, "what": what, "reason": reason, "count": count}
-            for what, reason, count in result.left_out
+            for what, reason, count in [*result.left_out, *skipped]
         ]
         self.store.append("left_out", left_out)
         measured = metrics.Measured(
@@ -233,6 +228,7 @@ class _Walkthrough:
             reference=reference[0] if reference else None,
             reference_standard_error=reference[1] if reference else None,
             previous=self._previous(lane, result),
+            map_use=self.engine.map_use(lane.session) if self.wants_map_use else None,
         )
         self.store.append(
             "frames",
@@ -244,6 +240,7 @@ class _Walkthrough:
                     "m_x_max": result.m_x_max,
                     "m_z_max": result.m_z_max,
                     "receiver_pixels": int(np.isfinite(result.visibility).sum()),
+                    "disoccluded": self._disoccluded(lane, result),
                 }
             ],
         )
@@ -251,10 +248,23 @@ class _Walkthrough:
         self.done += 1
 
     def _previous(self, lane: Lane, result: FrameLike) -> np.ndarray | None:
-        if lane.before is None:
+        if lane.before is None or not self.wants_flicker:
             return None
         frame, visibility, position_ws = lane.before
         return carry_over(visibility, position_ws, self.engine.ws_to_ss(frame), result.world_position)
+
+    def _disoccluded(self, lane: Lane, result: FrameLike) -> float | None:
+        """Share of the receiver pixels that the frame before did not see; None on the first frame."""
+        receiver = np.isfinite(result.visibility)
+        if lane.before is None or not receiver.any():
+            return None
+        frame, _, before = lane.before
+        now, kept = result.world_position, self._unseen
+        # Most labels see the very same points, and finding them again takes longer than many a frame.
+        same = kept and all(np.array_equal(*pair, equal_nan=True) for pair in zip(kept, (before, now), strict=False))
+        if not (kept and same):
+            kept = self._unseen = (before, now, disoccluded(before, self.engine.ws_to_ss(frame), now))
+        return float(kept[2][receiver].mean())
 
     def _store_reference(self, frame: int, reference: tuple[np.ndarray, np.ndarray]) -> None:
         visibility, standard_error = reference
@@ -263,6 +273,20 @@ class _Walkthrough:
             self.store.raw(None, "standard_error", frame), standard_error, f"reference standard error, frame {frame}"
         )
         write_png(self.store.view(None, "visibility", frame), visibility_view(visibility))
+
+    def _store_views(
+        self, lane: Lane, frame: int, result: FrameLike, reference: tuple[np.ndarray, np.ndarray] | None
+    ) -> list[tuple[str, str, int]]:
+        views = self.experiment.views
+        if views is None or frame not in (views.frames or ()):
+            return []
+        from experiments.views.render import make_views  # brings matplotlib, which few runs need before their end
+
+        self.tell(self.done, self.total, f"frame {frame}, views of {lane.label}")
+        engine: Any = self.engine
+        session: Any = lane.session
+        truth = reference[0] if reference else None
+        return make_views(self.experiment, engine, lane.run, session, result, frame, truth, self.store)
 
     def _store_images(
         self, label: str, frame: int, result: FrameLike, reference: tuple[np.ndarray, np.ndarray] | None

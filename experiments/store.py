@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import json
 import shutil
+import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from types import MappingProxyType
+from typing import Any, Literal, Self
 
-from experiments.metrics import METRICS
+from experiments.config.source import load_yaml
+from experiments.metrics import MAP_METRICS, METRICS
 from experiments.tables import Row, Table, read_table, table_text, write_text
 from wkernels.errors import InputError
 
@@ -20,7 +23,8 @@ FRAME_COLUMNS = (
     "technique", "label", "frame", "frame_ms", "shadow_ms", "fps",
     "rmse", "mean_signed_error", "p99_error", "flip", "standard_error", "reference_standard_error",
     "m_x_max", "m_z_max", "flicker",
-    "frame_ms_q1", "frame_ms_q3", "shadow_ms_q1", "shadow_ms_q3", "receiver_pixels",
+    "frame_ms_q1", "frame_ms_q3", "shadow_ms_q1", "shadow_ms_q3", "receiver_pixels", "disoccluded",
+    *MAP_METRICS,
 )  # fmt: skip
 PASS_COLUMNS = ("technique", "label", "frame", "pass", "ms")
 LEFT_OUT_COLUMNS = ("label", "what", "reason", "count", "frame")
@@ -32,9 +36,14 @@ TABLES: Mapping[str, tuple[str, ...]] = {
     "failures": FAILURE_COLUMNS,
 }
 assert set(METRICS) <= set(FRAME_COLUMNS)
+CONVERGENCE_COLUMNS = (
+    "technique", "label", "step", "n", "rmse", "mean_signed_error", "standard_error", "coverage_2se",
+    "over", "p99_error", "reference_standard_error", "penumbra_rmse", "penumbra_standard_error",
+    "n_effective", "zero_standard_error", "receiver_pixels", "penumbra_pixels",
+)  # fmt: skip
 
 RawKind = Literal["visibility", "standard_error"]
-ViewKind = Literal["shaded", "visibility", "error"]
+ViewKind = Literal["shaded", "visibility", "error", "standard_error"]
 
 
 def _json(data: Mapping[str, Any]) -> str:
@@ -46,7 +55,14 @@ class Store:
 
     Attributes:
         out: The folder.
+        tables: Columns of its tables.
+        main: The table with one row for each piece of work that is done.
+        place: The column of that table that, with the label, names the piece.
     """
+
+    tables: Mapping[str, tuple[str, ...]] = TABLES
+    main = "frames"
+    place = "frame"
 
     def __init__(self, out: Path) -> None:
         self.out = out
@@ -55,7 +71,7 @@ class Store:
     # ---- Opening ----
 
     @classmethod
-    def existing(cls, out: str | Path) -> Store:
+    def existing(cls, out: str | Path) -> Self:
         """An earlier run's folder, for reading.
 
         Raises:
@@ -64,7 +80,9 @@ class Store:
         out = Path(out)
         if not out.is_dir():
             raise InputError("there is no such result folder.", file=out)
-        missing = [name for name in ("config.yaml", "environment.json", "frames.csv") if not (out / name).is_file()]
+        missing = [
+            name for name in ("config.yaml", "environment.json", f"{cls.main}.csv") if not (out / name).is_file()
+        ]
         if missing:
             raise InputError(f"is not a result folder: it has no {', '.join(missing)}.", file=out)
         store = cls(out)
@@ -73,7 +91,7 @@ class Store:
         return store
 
     @classmethod
-    def open(cls, out: str | Path, config: str, environment: Mapping[str, Any], *, resume: bool) -> Store:
+    def open(cls, out: str | Path, config: str, environment: Mapping[str, Any], *, resume: bool) -> Self:
         """A folder to write into: a new one, one to start afresh, or one to continue.
 
         Args:
@@ -99,7 +117,7 @@ class Store:
         if not self._is_ours():
             raise InputError("holds other files and no earlier run; give a new or empty folder with --out.", file=out)
         config_file = out / "config.yaml"
-        started = bool(self.rows("frames") or self.rows("failures"))
+        started = any(self.rows(name) for name in ("frames", "convergence", "failures"))
         if started:
             self._check_same(config_file, config, environment, resume)
         if started and resume:
@@ -136,7 +154,9 @@ class Store:
             raise InputError(message, file=self.out / "environment.json")
 
     def _clear(self) -> None:
-        names = [f"{name}.csv" for name in (*TABLES, "summary")] + ["report.html", "environment.json", "config.yaml"]
+        written = ("convergence", "estimates", "stability", "summary", "published", "prediction")
+        names = [f"{name}.csv" for name in (*TABLES, *written)]
+        names += ["report.html", "environment.json", "config.yaml"]
         for name in names:
             (self.out / name).unlink(missing_ok=True)
         for folder in ("images", "plots", "failures"):
@@ -144,9 +164,9 @@ class Store:
                 shutil.rmtree(self.out / folder)
 
     def recover(self) -> None:
-        """Makes all tables consistent with the complete rows of frames.csv and failures.csv."""
+        """Makes all tables consistent with the complete rows of the main one and of failures.csv."""
         done = self.done()
-        for name, columns in TABLES.items():
+        for name, columns in self.tables.items():
             rows = self.rows(name)
             if name in ("passes", "left_out"):
                 rows = [row for row in rows if (row["label"], int(row["frame"])) in done]
@@ -155,14 +175,22 @@ class Store:
     # ---- Rows ----
 
     def append(self, table: str, rows: Sequence[Row]) -> None:
-        """Adds rows to a table of ``TABLES``; they are on the disk when this returns."""
+        """Adds rows to a table of ``tables``; they are on the disk when this returns."""
         if table not in self._tables:
-            self._tables[table] = Table(self.out / f"{table}.csv", TABLES[table])
+            self._tables[table] = Table(self.out / f"{table}.csv", self.tables[table])
         self._tables[table].append(rows)
+
+    def record_failure(self, technique: str, label: str, place: int, error: Exception) -> None:
+        """Adds a row to failures.csv and a file with the traceback; ``place`` is the frame or step."""
+        short = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        folder = self.out / "failures"
+        folder.mkdir(exist_ok=True)
+        write_text(folder / f"{label}.txt", "".join(traceback.format_exception(error)))
+        self.append("failures", [{"technique": technique, "label": label, "frame": place, "error": short}])
 
     def start_tables(self) -> None:
         """Creates every table, so that one without rows is there with its head."""
-        for name in TABLES:
+        for name in self.tables:
             self.append(name, [])
 
     def close(self) -> None:
@@ -176,8 +204,8 @@ class Store:
         return read_table(self.out / f"{table}.csv")
 
     def done(self) -> set[tuple[str, int]]:
-        """Label and frame of all complete frames."""
-        return {(row["label"], int(row["frame"])) for row in self.rows("frames")}
+        """Label and frame (or step) of all complete ones."""
+        return {(row["label"], int(row[self.place])) for row in self.rows(self.main)}
 
     def rewrite_frames(self, change: Callable[[dict[str, str]], Row]) -> None:
         """Replaces every row of frames.csv by ``change(row)``, in one step."""
@@ -200,6 +228,17 @@ class Store:
             raise InputError("must hold a JSON object.", file=path)
         return data
 
+    def config(self) -> dict[str, Any]:
+        """config.yaml, the resolved experiment.
+
+        Raises:
+            InputError: It is missing or damaged.
+        """
+        data = load_yaml(self.out / "config.yaml").data
+        if not isinstance(data, dict):
+            raise InputError("must hold a mapping.", file=self.out / "config.yaml")
+        return data
+
     def update_environment(self, **changes: Any) -> None:
         """Sets top-level keys of environment.json."""
         write_text(self.out / "environment.json", _json({**self.environment(), **changes}))
@@ -214,10 +253,30 @@ class Store:
         """Path of a picture for people (PNG) of a label, or of the reference (None)."""
         return self.out / "images" / image_folder(label) / f"{kind}_{frame:04d}.png"
 
+    def picture(self, label: str, name: str, frame: int) -> Path:
+        """Path of one of the pictures that the key ``views`` asks for (PNG)."""
+        return self.out / "images" / image_folder(label) / "views" / f"{name}_{frame:04d}.png"
+
+    def pictures(self, label: str) -> list[tuple[str, int]]:
+        """Name and frame of all such pictures of a label, by name, frames ascending."""
+        found = (self.out / "images" / image_folder(label) / "views").glob("*_[0-9]*.png")
+        parts = (path.stem.rpartition("_") for path in found if not path.name.startswith("."))
+        return sorted((name, int(frame)) for name, _, frame in parts)
+
     def image_frames(self, label: str | None) -> list[int]:
         """Frames of which there is a raw visibility image, ascending."""
         found = (self.out / "images" / image_folder(label)).glob("visibility_*.exr")
         return sorted(int(path.stem.rpartition("_")[2]) for path in found)
+
+
+class ConvergenceStore(Store):
+    """The folder of a run of ``kind: convergence``: images are of steps, a still camera's reference is of step 1."""
+
+    tables: Mapping[str, tuple[str, ...]] = MappingProxyType(
+        {"convergence": CONVERGENCE_COLUMNS, "failures": FAILURE_COLUMNS}
+    )
+    main = "convergence"
+    place = "step"
 
 
 def image_folder(label: str | None) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +11,24 @@ import pandas as pd
 
 from experiments import metrics
 from experiments.images import read_exr
+from experiments.published import compare_published, published_of_config, write_published
 from experiments.store import FRAME_COLUMNS, LEFT_OUT_COLUMNS, PASS_COLUMNS, Store
 from experiments.tables import Row, table_text, write_text
 
-SUMMARISED = ("frame_ms", "shadow_ms", "fps", *metrics.METRICS, "m_x_max", "m_z_max")
+_ERRORS = tuple(name for name in metrics.METRICS if name not in metrics.MAP_METRICS)
+SUMMARISED = ("frame_ms", "shadow_ms", "fps", *_ERRORS, "m_x_max", "m_z_max", *metrics.MAP_METRICS)
+
+
+def _with_quartiles(names: Iterable[str]) -> tuple[str, ...]:
+    return tuple(f"{name}{suffix}" for name in names for suffix in ("", "_q1", "_q3"))
+
+
 SUMMARY_COLUMNS = (
     "technique",
     "label",
     "frames",
     "reference_frames",
-    *(f"{name}{suffix}" for name in SUMMARISED for suffix in ("", "_q1", "_q3")),
+    *_with_quartiles(name for name in SUMMARISED if name not in metrics.MAP_METRICS),
     "frame_ms_ratio",
     "frame_ms_ratio_q1",
     "frame_ms_ratio_q3",
@@ -28,6 +36,7 @@ SUMMARY_COLUMNS = (
     "pareto",
     "distinguishable",
     "distinguishable_from_baseline",
+    *_with_quartiles(metrics.MAP_METRICS),
 )
 
 
@@ -117,7 +126,7 @@ def pareto_front(cost: np.ndarray, error: np.ndarray) -> np.ndarray:
 
 
 def write_summary(out: str | Path) -> pd.DataFrame:
-    """Writes summary.csv of a result folder and returns it.
+    """Writes summary.csv of a result folder, published.csv where its entries give figures, and returns the former.
 
     Raises:
         InputError: ``out`` is no result folder.
@@ -126,7 +135,14 @@ def write_summary(out: str | Path) -> pd.DataFrame:
     table = summarise(load_frames(store), store.environment()["run"]["baseline"])
     rows = [{str(key): _yes_no(value) for key, value in row.items()} for row in table.to_dict("records")]
     write_text(store.out / "summary.csv", table_text(SUMMARY_COLUMNS, rows))
+    published = published_of_config(store.config())
+    ours = {str(row["label"]): _numbers(row) for row in table.to_dict("records")}
+    write_published(store.out, compare_published(published, ours, store.environment()["run"]["baseline"]))
     return table
+
+
+def _numbers(row: Row) -> dict[str, float]:
+    return {name: value for name, value in row.items() if isinstance(value, float) and np.isfinite(value)}
 
 
 def _yes_no(value: Any) -> Any:
@@ -146,7 +162,7 @@ def recompute_metrics(out: str | Path) -> int:
     """
     store = Store.existing(out)
     before = store.rows("frames")
-    asked = frozenset(name for name in metrics.METRICS if any(row[name] for row in before))
+    asked = frozenset(name for name in metrics.METRICS if any(row.get(name) for row in before))
     again = [row for row in before if store.raw(row["label"], "visibility", int(row["frame"])).is_file()]
 
     def change(row: dict[str, str]) -> Row:
@@ -157,7 +173,7 @@ def recompute_metrics(out: str | Path) -> int:
 
     store.rewrite_frames(change)
     # A version is a claim about a whole column.
-    kept = {name for name in metrics.METRICS if any(row[name] and row not in again for row in before)}
+    kept = {name for name in metrics.METRICS if any(row.get(name) and row not in again for row in before)}
     versions = dict(store.environment()["metrics"])
     versions |= {m.name: m.version for m in metrics.METRICS.values() if m.from_images and m.name not in kept}
     store.update_environment(metrics=versions)

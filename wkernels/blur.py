@@ -62,8 +62,9 @@ def blur_columns(first: int, image: wp.array2d[Any], weights: wp.array[float], b
 @wp.kernel
 def blur_rows_lanes(
     first: int,
-    image: wp.array(dtype=float),  # flat, rows of ``row_floats``
+    image: wp.array(dtype=float),  # flat
     image_runs: wp.array(dtype=Floats),  # a run from every float on
+    pitch: int,  # floats from one row of the image to the next; those of the blurred one lie side by side
     row_floats: int,
     components: int,
     weights: wp.array(dtype=float),
@@ -71,7 +72,8 @@ def blur_rows_lanes(
 ):
     """``blur_rows`` of a run of floats; the last run of a row begins within the one before."""
     row, run = wp.tid()
-    begin = (first + row) * row_floats
+    y = first + row
+    begin = y * pitch
     start = wp.min(run * LANES, row_floats - LANES)
     radius = weights.shape[0] / 2
     reach = radius * components
@@ -91,13 +93,14 @@ def blur_rows_lanes(
                 component = start + k - texel * components
                 nearest = wp.clamp(texel + i - radius, 0, last)
                 total[k] = total[k] + weight * image[begin + nearest * components + component]
-    blurred_out[begin + start] = total
+    blurred_out[y * row_floats + start] = total
 
 
 @wp.kernel
 def blur_columns_lanes(
     first: int,
     image_runs: wp.array(dtype=Floats),
+    pitch_out: int,  # of the blurred image
     row_floats: int,
     rows: int,
     weights: wp.array(dtype=float),
@@ -114,7 +117,7 @@ def blur_columns_lanes(
         values = image_runs[wp.clamp(y + i - radius, 0, rows - 1) * row_floats + start]
         for k in range(LANES):
             total[k] = total[k] + weight * values[k]
-    blurred_out[y * row_floats + start] = total
+    blurred_out[y * pitch_out + start] = total
 
 
 _TYPES = (wp.vec2, wp.vec4)
@@ -135,10 +138,10 @@ def separable_blur(
     """``image`` blurred by the outer product of ``weights`` with itself, on the device of the image.
 
     Args:
-        image: (H, W) of vec2 or vec4.
+        image: (H, W) of vec2 or vec4; a part of a larger one too.
         weights: An odd number of taps; ``box_weights`` or ``gaussian_weights``. Used as float32.
         threads: CPU threads; see ``wkernels.launch``. The result does not depend on it.
-        scratch: Holds the row pass; like ``image`` and not the same array. A new one if not given.
+        scratch: Holds the row pass, contiguous; like ``image`` and not the same array. A new one if not given.
         out: Like ``image``, and may be the same array. A new one if not given.
 
     Returns:
@@ -158,11 +161,12 @@ def separable_blur(
     taps = wp.array(np.asarray(weights, np.float32), dtype=float, device=device)
     components = image.dtype._length_
     row_floats = image.shape[1] * components
-    if uses_lanes(device) and row_floats >= LANES and image.is_contiguous and out.is_contiguous:
+    dense = image.strides[1] == out.strides[1] == 4 * components and scratch.is_contiguous
+    if uses_lanes(device) and row_floats >= LANES and dense:
         runs = (image.shape[0], runs_per_row(row_floats))
-        inputs = [flat_floats(image), runs_of(image, Floats), row_floats, components, taps]
+        inputs = [flat_floats(image), runs_of(image, Floats), image.strides[0] // 4, row_floats, components, taps]
         launch(blur_rows_lanes, runs, inputs, [runs_of(scratch, Floats)], device=device, threads=threads)
-        inputs = [runs_of(scratch, Floats), row_floats, image.shape[0], taps]
+        inputs = [runs_of(scratch, Floats), out.strides[0] // 4, row_floats, image.shape[0], taps]
         launch(blur_columns_lanes, runs, inputs, [runs_of(out, Floats)], device=device, threads=threads)
         return out
     launch(_BLUR_ROWS[image.dtype], image.shape, [image, taps], [scratch], device=device, threads=threads)

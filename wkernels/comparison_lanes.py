@@ -56,8 +56,14 @@ def texel_depth_lane(
 
 @wp.func
 def first_texels(light_map: LightMap, receivers: ReceiverRun):
-    """Where in the flat map each lane's layer begins; 0 for lanes without one, which must not index outside."""
-    return wp.max(receivers.layer, Ints(0)) * (light_map.resolution * light_map.resolution)
+    """Where in the map each lane's layer begins; the first for lanes without one, which must not index outside."""
+    layers = receivers.layer
+    layer_begin = light_map.layer_begin
+    begin = Ints(layer_begin[0])
+    if light_map.layers > 1:
+        for k in range(LANES):
+            begin[k] = layer_begin[wp.max(layers[k], 0)]
+    return begin
 
 
 @wp.func
@@ -65,6 +71,7 @@ def compare_nearest_run(views: LaneViews, light_map: LightMap, receivers: Receiv
     """``compare_nearest``: the hard shadow test of each lane; lanes without a receiver keep their visibility."""
     depth = views.depth
     resolution = light_map.resolution
+    pitch = light_map.pitch
     layers = receivers.layer
     begin = first_texels(light_map, receivers)
     xs = receivers.x
@@ -77,7 +84,7 @@ def compare_nearest_run(views: LaneViews, light_map: LightMap, receivers: Receiv
         inside_x = wp.clamp(column, 0, resolution - 1)
         inside_y = wp.clamp(row, 0, resolution - 1)
         beyond = wp.where(inside_x != column, 1, wp.where(inside_y != row, 1, 0))
-        stored = wp.abs(depth[begin[k] + inside_y * resolution + inside_x])
+        stored = wp.abs(depth[begin[k] + inside_y * pitch + inside_x])
         lit = wp.where(own[k] <= wp.where(beyond != 0, float(wp.inf), stored), 1.0, 0.0)
         visible[k] = wp.where(layers[k] >= 0, lit, visible[k])
     return visible
@@ -94,6 +101,7 @@ def compare_nearest_taps(
     """One comparison per tap with the nearest texel: (taps lit, sum of the stored depths of the others)."""
     depth = views.depth
     resolution = light_map.resolution
+    pitch = light_map.pitch
     begin = first_texels(light_map, receivers)
     xs = receivers.x
     ys = receivers.y
@@ -120,7 +128,7 @@ def compare_nearest_taps(
             for k in range(LANES):
                 x = wp.clamp(xs[k] + (xx[k] * tap_x + xy[k] * tap_y), BORDER, last)
                 y = wp.clamp(ys[k] + (yx[k] * tap_x + yy[k] * tap_y), BORDER, last)
-                stored = wp.abs(depth[begin[k] + int(y) * resolution + int(x)])
+                stored = wp.abs(depth[begin[k] + int(y) * pitch + int(x)])
                 plane = rise_x[k] * (x - xs[k]) + rise_y[k] * (y - ys[k]) + rise[k] - bias[k]
                 lit[k] = lit[k] + wp.where(plane <= stored, 1.0, 0.0)
                 hidden_depth[k] = hidden_depth[k] + wp.where(plane > stored, stored, 0.0)
@@ -128,7 +136,7 @@ def compare_nearest_taps(
         for k in range(LANES):
             x = wp.clamp(xs[k] + (xx[k] * tap_x + xy[k] * tap_y), BORDER, last)
             y = wp.clamp(ys[k] + (yx[k] * tap_x + yy[k] * tap_y), BORDER, last)
-            stored = wp.abs(depth[begin[k] + int(y) * resolution + int(x)])
+            stored = wp.abs(depth[begin[k] + int(y) * pitch + int(x)])
             plane = tap_depth_lane(
                 x - xs[k], y - ys[k], own[k], bias[k], rise_x[k], rise_y[k], rise[k], scale_x[k], scale_y[k]
             )
@@ -148,6 +156,7 @@ def compare_bilinear_taps(
     """``compare_bilinear`` at each tap, summed."""
     depth = views.depth
     resolution = light_map.resolution
+    pitch = light_map.pitch
     begin = first_texels(light_map, receivers)
     xs = receivers.x
     ys = receivers.y
@@ -180,8 +189,8 @@ def compare_bilinear_taps(
             # rounding may put the outer column or row beyond the map, where all is lit
             c0 = wp.max(int(left), 0)
             c1 = wp.min(int(left) + 1, resolution - 1)
-            r0 = begin[k] + wp.max(int(upper), 0) * resolution
-            r1 = begin[k] + wp.min(int(upper) + 1, resolution - 1) * resolution
+            r0 = begin[k] + wp.max(int(upper), 0) * pitch
+            r1 = begin[k] + wp.min(int(upper) + 1, resolution - 1) * pitch
             no_c0 = wp.where(left < 0.0, beyond, 0.0)
             no_c1 = wp.where(left > last - 1.0, beyond, 0.0)
             no_r0 = wp.where(upper < 0.0, beyond, 0.0)

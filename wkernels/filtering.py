@@ -21,7 +21,7 @@ from wkernels.errors import InputError, nearest
 from wkernels.frame import Session
 from wkernels.lanes import LANES, Floats, runs_of, uses_lanes
 from wkernels.light_extent import light_half_axes
-from wkernels.light_map import LightMap, Receiver, compare_bilinear, receiver_depth_at, texels_per_length
+from wkernels.light_map import LightMap, Receiver, compare_bilinear, receiver_depth_at, texels_per_length, to_texel
 from wkernels.sampling import hash_2d, uniform_01
 
 TAP_SETS: dict[str, Callable[[int], np.ndarray]] = {"poisson": poisson_disc_taps, "box": box_taps}
@@ -101,10 +101,10 @@ def pull_footprint(frame: Session, light_map: LightMap, slot: Hashable = "centre
         out.nearest_depth = wp.empty(layers, dtype=float, device=frame.device)
         rows = frame.buffer("row minima", (layers, light_map.resolution), wp.float32)
         if uses_lanes(frame.device) and light_map.resolution >= LANES:
-            inputs = [runs_of(light_map.depth, Floats), light_map.resolution]
+            inputs = [runs_of(light_map.depth, Floats), light_map.layer_begin, light_map.pitch, light_map.resolution]
             frame.launch(find_row_minima_lanes, rows.shape[::-1], inputs, [rows])
         else:
-            frame.launch(find_row_minima, rows.shape[::-1], [light_map.depth], [rows])
+            frame.launch(find_row_minima, rows.shape[::-1], [light_map], [rows])
         frame.launch(find_minima, layers, [rows], [out.nearest_depth])
         return out
 
@@ -114,25 +114,30 @@ def pull_footprint(frame: Session, light_map: LightMap, slot: Hashable = "centre
 
 
 @wp.kernel
-def find_row_minima(first: int, depth: wp.array3d(dtype=float), minima_out: wp.array2d(dtype=float)):
+def find_row_minima(first: int, light_map: LightMap, minima_out: wp.array2d(dtype=float)):
     """Least depth in each row of each layer; the sign that tags moving casters does not count."""
     row, layer = wp.tid()
     y = first + row
     least = float(wp.inf)
-    for x in range(depth.shape[2]):
-        least = wp.min(least, wp.abs(depth[layer, y, x]))
+    for x in range(light_map.resolution):
+        least = wp.min(least, wp.abs(light_map.depth[to_texel(light_map, layer, x, y)]))
     minima_out[layer, y] = least
 
 
 @wp.kernel
 def find_row_minima_lanes(
-    first: int, depth: wp.array(dtype=Floats), resolution: int, minima_out: wp.array2d(dtype=float)
+    first: int,
+    depth: wp.array(dtype=Floats),
+    layer_begin: wp.array(dtype=int),
+    pitch: int,
+    resolution: int,
+    minima_out: wp.array2d(dtype=float),
 ):
     """``find_row_minima`` of maps at least a run wide."""
     row, layer = wp.tid()
     y = first + row
     least = Floats(float(wp.inf))
-    begin = (layer * resolution + y) * resolution
+    begin = layer_begin[layer] + y * pitch
     for x in range(0, resolution, LANES):
         held = depth[begin + wp.min(x, resolution - LANES)]
         for k in range(LANES):
@@ -170,7 +175,7 @@ def tap_position(light_map: LightMap, receiver: Receiver, offset: wp.vec2, borde
 @wp.func
 def depth_at(light_map: LightMap, layer: int, position: wp.vec2):
     """Depth in the texel at a position inside the map, without the tag of moving casters."""
-    return wp.abs(light_map.depth[layer, int(position[1]), int(position[0])])
+    return wp.abs(light_map.depth[to_texel(light_map, layer, int(position[0]), int(position[1]))])
 
 
 @wp.func

@@ -19,23 +19,30 @@ from wkernels import gbuffer as gb
 from wkernels.caster_tree import CasterTree, CasterTreeBuilder
 from wkernels.frame_result import G_BUFFER, SHADING, FrameResult, read_back
 from wkernels.geometry import Bounds, Geometry
+from wkernels.history import History
+from wkernels.jitter import Jitter, jittered_view
 from wkernels.launch import launch, wake_workers
 from wkernels.light_map import LightMap
-from wkernels.light_map_drawing import draw_light_map, views_stamp
 from wkernels.light_samples import LightSamples
 from wkernels.light_views import scene_views
 from wkernels.lights import Light
+from wkernels.map_shelf import MapShelf
+from wkernels.near_plane import NearPlane
 from wkernels.raster import CULL_NONE, Rasteriser
 from wkernels.rays import LightHull
 from wkernels.sampling import light_set
+from wkernels.scene import Camera
 from wkernels.shading import shade
 from wkernels.timing import PassTimer
-from wkernels.views import HostView, View, eye_view
-
-MAP_BUDGET_BYTES = 512 * 2**20  # maps of many light samples are kept for later frames up to this much memory
+from wkernels.views import HostView, eye_view
 
 LightViews = Callable[[np.ndarray, Bounds, Bounds, int, HostView], list[HostView]]
-"""A projection: light sample (4,), receivers' box, casters' box, map resolution, eye view -> one view per layer."""
+"""A projection: light sample (4,), receivers' box, casters' box, map resolution, eye view -> one view per layer.
+
+It may have three attributes: ``near``, the ``NearPlane`` rule of the eye view that it gets ("user" without it);
+``left_out``, pairs (what, reason) of what its last call could not or need not do; and ``map_options``, a ``MapOptions``
+that says how its maps are stored and drawn.
+"""
 
 
 class Renders(Protocol):
@@ -43,23 +50,6 @@ class Renders(Protocol):
 
     def render(self, frame: Session) -> wp.array:
         """Visibility, float32, of the frame's size or of an overscanned G-buffer's."""
-
-
-@dataclass
-class History:
-    """Two buffers that change places from frame to frame.
-
-    Attributes:
-        previous: What the last frame wrote; meaningless unless ``valid``.
-        current: For this frame to write, completely.
-        valid: Whether there was a last frame.
-        previous_view: The eye's view of that frame, at the buffer's size.
-    """
-
-    previous: Any
-    current: Any
-    valid: bool = False
-    previous_view: View | None = None
 
 
 @dataclass
@@ -81,6 +71,7 @@ class Session:
         seed: Shift of all sample sets; 1 is the plain, unshifted set.
         projection: Where light depth maps look; ``scene_views`` unless given.
         skips: Whether work that the scene cannot need may be left out.
+        index: Frame to begin with; the geometry's, where others are using it.
     """
 
     def __init__(
@@ -95,16 +86,19 @@ class Session:
         seed: int = 1,
         projection: LightViews | None = None,
         skips: bool = True,
+        index: int = 0,
     ) -> None:
         self.geometry = geometry
         self.width, self.height = width, height
         self.device, self.threads, self.seed, self.skips = device, threads, seed, skips
         self.light: Light = geometry.scene.lights[light_index].moved(-geometry.origin_ws)
         self.projection: LightViews = projection or _fit_scene
-        self.index = 0  # frame index in the scene's path
+        self.index = index  # frame index in the scene's path
         self.count = 0  # frames since the last reset: how often history has been committed
         self.standard_error: wp.array | None = None  # a technique may set it in render
+        self.near_plane = NearPlane(getattr(self.projection, "near", "user"))
         self._rasteriser = Rasteriser(device, threads)
+        self._maps = MapShelf(geometry, self._rasteriser)
         self._timer = PassTimer(device)
         self._products: dict[Hashable, _Product] = {}
         self._buffers: dict[Hashable, wp.array] = {}
@@ -112,10 +106,11 @@ class Session:
         self._previous_camera: Any = None
         self.left_out: dict[tuple[str, str], int] = {}
         self.light_views: tuple[list[HostView], np.ndarray] | None = None
+        self.read_map: LightMap | None = None  # the map with these views
         self._gbuffers: dict[tuple[int, int], gb.GBuffer] = {}
         self._visit = 0
         self._camera: Any = None
-        self.begin(0)
+        self.begin(index)
 
     # ---- frame by frame
     # -------------------------------------------------------------------------------------------------
@@ -132,15 +127,20 @@ class Session:
         self.geometry.set_frame(frame_index)
         self._camera = self.geometry.scene.camera(frame_index)
 
+    def look(self, camera: Camera) -> None:
+        """Puts another camera in the place of the path's, until ``begin`` is called again."""
+        self._camera = camera
+
     def render(self, technique: Renders) -> FrameResult:
         """Runs one technique on the current frame and reads its results back (reading back is not timed)."""
         self.left_out.clear()
-        self.light_views = None
+        self.light_views = self.read_map = None
         self._gbuffers.clear()
         self.standard_error = None
         wake_workers(self.device, self.threads)
         self._timer.start()
         visibility = technique.render(self)
+        self.near_plane.look_back(self)
         gbuffer = self._gbuffers.get(visibility.shape) or self.gbuffer()
         if visibility.shape != gbuffer.depth.shape or visibility.dtype != wp.float32:
             # kernels do not check bounds: shading would read past the end
@@ -159,6 +159,7 @@ class Session:
         for history in self._histories.values():
             history.previous, history.current = history.current, history.previous
             history.valid = True
+        self.near_plane.advance()
         self._previous_camera = self._camera
         self.count += 1
         self._visit += 1
@@ -166,8 +167,10 @@ class Session:
     def reset(self) -> None:
         """Forgets history and products, as before the first frame."""
         self._products.clear()
+        self._maps.clear()
         for history in self._histories.values():
             history.valid = False
+        self.near_plane.reset()
         self._previous_camera = None
         self.count = 0
         self._visit += 1
@@ -186,9 +189,13 @@ class Session:
     def leave_out(self, what: str, reason: str, count: int = 1) -> bool:
         """Records that ``what`` is not needed here and returns True; False, unrecorded, with skips off."""
         if self.skips:
-            key = (what, reason)
-            self.left_out[key] = self.left_out.get(key, 0) + count
+            self.record(what, reason, count)
         return self.skips
+
+    def record(self, what: str, reason: str, count: int = 1) -> None:
+        """Notes that ``what`` was not done, whether skips are on or not: there was no other way to go."""
+        key = (what, reason)
+        self.left_out[key] = self.left_out.get(key, 0) + count
 
     def buffer(self, name: str, shape: tuple[int, ...], dtype: type) -> wp.array:
         """Scratch memory that lives as long as the session; its content is whatever was left there."""
@@ -248,6 +255,11 @@ class Session:
         out: gb.GBuffer = self.product(G_BUFFER, ("g-buffer", margin), inputs, build)
         self._gbuffers[out.depth.shape] = out
         return out
+
+    def widest_gbuffer(self) -> gb.GBuffer:
+        """The largest G-buffer that this frame has asked for so far, or else the frame's own."""
+        asked = list(self._gbuffers.values()) or [self.gbuffer()]
+        return max(asked, key=lambda gbuffer: gbuffer.depth.size)
 
     def light_samples(self, count: int, kind: str = "halton", start: int = 0) -> LightSamples:
         """``count`` points of the light from sample ``start`` on (rebased world)."""
@@ -319,6 +331,7 @@ class Session:
         slot: Hashable = "centre",
         cull: int = CULL_NONE,
         tag_moving_casters: bool = False,
+        jitter: Jitter | None = None,
     ) -> LightMap:
         """The light's linear depth map, seen from one sample of the light.
 
@@ -328,6 +341,7 @@ class Session:
             slot: Maps that must live side by side need different slots.
             cull: Which faces are left out, as seen from the light.
             tag_moving_casters: Negative depth where the nearest caster moves.
+            jitter: Shift and turn of whatever views the projection gives; what changes it draws the map anew.
         """
         sample = self.light.centre if light_ws is None else light_ws
         receivers = self.geometry.bounds(receivers=True)
@@ -337,24 +351,18 @@ class Session:
         if receivers.empty:  # no meshes at all: any view will do
             receivers = Bounds()
             receivers.add(np.zeros((1, 3)))
-        views = self.projection(sample, receivers, casters, resolution, self.eye())
-        if light_ws is None or self.light_views is None:
+        views = self.projection(sample, receivers, casters, resolution, self.near_plane.eye(self, receivers))
+        for what, reason in getattr(self.projection, "left_out", ()):
+            self.record(what, reason)
+        if jitter is not None:
+            views = [jittered_view(view, jitter) for view in views]
+        shown = light_ws is None or self.light_views is None
+        if shown:
             self.light_views = (views, sample)
-        key: Hashable = ("map", slot, resolution, cull, tag_moving_casters)
-        if key not in self._products and self._map_bytes() + 4 * resolution**2 * len(views) > MAP_BUDGET_BYTES:
-            key = ("map", "shared", resolution, cull, tag_moving_casters)
-        inputs = (self.geometry.version, views_stamp(views))
-        triangle = self.buffer("map triangles", (resolution, resolution), wp.int32) if tag_moving_casters else None
-
-        def build(old: LightMap | None) -> LightMap:
-            return draw_light_map(old, self.geometry, views, sample, self._rasteriser, cull, triangle)
-
-        out: LightMap = self.product("light depth map", key, inputs, build)
+        out = self._maps.pull(self, views, sample, slot, cull, tag_moving_casters)
+        if shown:
+            self.read_map = out
         return out
-
-    def _map_bytes(self) -> int:
-        maps = (p.value for key, p in self._products.items() if isinstance(key, tuple) and key[0] == "map")
-        return sum(4 * light_map.depth.size for light_map in maps)
 
     def history(self, name: str, allocate: Callable[[], Any], margin: tuple[int, int] = (0, 0)) -> History:
         """Two buffers made by ``allocate``, and the eye's view when the previous one was written."""

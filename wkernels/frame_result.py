@@ -73,7 +73,7 @@ def read_back(
     m_x = m_z = float("nan")
     if frame.light_views is not None:
         views, sample = frame.light_views
-        _, all_x, all_z = perspective_aliasing(views, sample, frame.eye())
+        _, all_x, all_z = perspective_aliasing(views, sample, frame.near_plane.used or frame.eye())
         m_x, m_z = (float(np.nanmax(m)) if np.isfinite(m).any() else float("nan") for m in (all_x, all_z))
     total = sum(spent.values())
     return FrameResult(

@@ -194,4 +194,6 @@ def _finite(vertices: np.ndarray) -> np.ndarray:
 
 def _place(mesh: Mesh, frame: int) -> np.ndarray:
     pose = mesh.object_to_ws(frame)
-    return np.asarray(mesh.vertices, dtype=np.float64) @ pose[:3, :3].T + pose[:3, 3]
+    with np.errstate(invalid="ignore"):  # vertices that are not finite stay so, and cast nothing
+        placed: np.ndarray = np.asarray(mesh.vertices, dtype=np.float64) @ pose[:3, :3].T + pose[:3, 3]
+    return placed

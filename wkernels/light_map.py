@@ -7,7 +7,10 @@ row 0 at the top, texel centres at half-integers.
 
 from __future__ import annotations
 
+import numpy as np
 import warp as wp
+
+from wkernels.map_storage import MapLayout, layers_on_host
 
 BIAS_KINDS = ("none", "constant", "slope", "back_face", "slope_back_face", "normal")
 BIAS_NONE, BIAS_CONSTANT, BIAS_SLOPE, BIAS_NORMAL = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
@@ -20,7 +23,9 @@ ROUNDING = wp.constant(2.0e-6)  # relative: what float32 loses between the map's
 class LightMap:
     """A light depth map on the device."""
 
-    depth: wp.array3d(dtype=float)  # (layers, R, R) linear; +inf: empty; negative: the caster moves (tagged maps only)
+    depth: wp.array(dtype=float)  # all layers, linear; +inf: empty; negative: the caster moves (tagged maps only)
+    layer_begin: wp.array(dtype=int)  # (layers,) a texel is depth[layer_begin[layer] + row * pitch + column]
+    pitch: int
     ws_to_ls: wp.array(dtype=wp.mat44)  # (layers,) rows x, y, linear depth, w
     right_ws: wp.array(dtype=wp.vec3)  # (layers,) map axes, unit
     up_ws: wp.array(dtype=wp.vec3)
@@ -54,6 +59,23 @@ class Receiver:
     plane_depth: wp.vec3  # depth of the receiver plane at a texel offset o, before bias:
     plane_scale: wp.vec3  #   dot(plane_depth, (o.x, o.y, 1)) / dot(plane_scale, (o.x, o.y, 1))
     bias: float
+
+
+def layout_of(light_map: LightMap) -> MapLayout:
+    """Where the layers of a map lie; its ``texels`` are what the map takes of memory."""
+    begin = tuple(int(b) for b in light_map.layer_begin.numpy())
+    return MapLayout(begin, light_map.pitch, light_map.depth.size, light_map.resolution)
+
+
+def depths_on_host(light_map: LightMap) -> np.ndarray:
+    """The map's depths, float32 (layers, R, R); a copy."""
+    return layers_on_host(light_map.depth, layout_of(light_map))
+
+
+@wp.func
+def to_texel(light_map: LightMap, layer: int, column: int, row: int):
+    """Where in the map's memory a texel lies; column and row are inside the layer."""
+    return light_map.layer_begin[layer] + row * light_map.pitch + column
 
 
 @wp.func
@@ -220,7 +242,7 @@ def stored_depth(light_map: LightMap, layer: int, column: int, row: int):
     """Depth in a texel, +inf outside the map; the sign tag of moving casters is kept."""
     result = float(wp.inf)
     if column >= 0 and row >= 0 and column < light_map.resolution and row < light_map.resolution:
-        result = light_map.depth[layer, row, column]
+        result = light_map.depth[to_texel(light_map, layer, column, row)]
     return result
 
 

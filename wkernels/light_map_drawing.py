@@ -7,11 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
+from wkernels.depth_clamp import clamp_casters
 from wkernels.geometry import MOVES, Geometry
-from wkernels.lanes import LANES, Floats, Ints, runs_of, uses_lanes
+from wkernels.lanes import LANES, Floats, Ints, runs_of, runs_per_row, uses_lanes
 from wkernels.launch import launch
 from wkernels.light_map import BY_DEPTH, BY_MARGIN, FIRST_INSIDE, LightMap
-from wkernels.raster import Rasteriser
+from wkernels.map_storage import PLAIN_MAP, MapOptions, allocate, lay_out, layer_images
+from wkernels.raster import Rasteriser, TriangleBlocks
 from wkernels.views import HostView, ProjectiveView
 
 
@@ -21,8 +23,7 @@ def tag_moving(
     triangle: wp.array2d(dtype=int),
     triangle_mesh: wp.array(dtype=int),
     mesh_flags: wp.array(dtype=int),
-    layer: int,
-    depth_out: wp.array3d(dtype=float),
+    depth_out: wp.array2d(dtype=float),
 ):
     """Negates the depth of texels whose caster moves (Scherzer et al. 2009, section 3.4)."""
     row, x = wp.tid()
@@ -30,7 +31,7 @@ def tag_moving(
     t = triangle[y, x]
     if t >= 0:
         if (mesh_flags[triangle_mesh[t]] & MOVES) != 0:
-            depth_out[layer, y, x] = -depth_out[layer, y, x]
+            depth_out[y, x] = -depth_out[y, x]
 
 
 @wp.kernel
@@ -38,13 +39,15 @@ def tag_moving_lanes(
     first: int,
     triangle: wp.array(dtype=Ints),
     moving: wp.array(dtype=wp.vec2i),
-    pixels: int,
+    width: int,
+    pitch: int,  # of both images
     depth_out: wp.array(dtype=Floats),
 ):
     """``tag_moving`` of a run of texels of one layer; ``moving`` are ranges of triangles, begin and end."""
-    run = first + wp.tid()
-    at = wp.min(run * LANES, pixels - LANES)
-    own = run * LANES - at  # the last run begins within the one before, whose texels are done
+    row, run = wp.tid()
+    start = wp.min(run * LANES, width - LANES)
+    own = run * LANES - start  # a row's last run begins within the one before, whose texels are done
+    at = (first + row) * pitch + start
     triangles = triangle[at]
     depth = depth_out[at]
     for i in range(moving.shape[0]):
@@ -64,17 +67,26 @@ def draw_light_map(
     rasteriser: Rasteriser,
     cull: int,
     triangle: wp.array | None,
-) -> LightMap:
+    options: MapOptions = PLAIN_MAP,
+    blocks: CasterBlocks | None = None,
+    everything: bool = False,
+) -> tuple[LightMap, int]:
     """Draws a map; a new struct each time, so that the struct itself stands for its content.
 
     Args:
-        old: An earlier map of the same resolution whose memory is taken over, if it has as many layers.
+        old: An earlier map of the same resolution and storage whose memory is taken over, if it has as many layers.
         geometry: What casts.
         views: One square view per layer.
         light_ws: The light sample (4,), rebased world.
         rasteriser: Draws the layers.
         cull: Faces that are left out, as seen from the light.
-        triangle: int32 (R, R) scratch to tag moving casters with, or None to leave them untagged.
+        triangle: int32 (R, pitch) scratch to tag moving casters with, or None to leave them untagged.
+        options: How it is stored and drawn; drawn in any other way than in passes only with ``blocks``.
+        blocks: Of the casters; what lies beside a layer's view is not drawn there.
+        everything: Whether all of it is drawn all the same.
+
+    Returns:
+        The map, and how many pairs of a block of casters and a layer were left out.
     """
     device, layers, resolution = rasteriser.device, len(views), views[0].width
 
@@ -82,40 +94,60 @@ def draw_light_map(
         values = np.stack([getattr(view, name) for view in views]).astype(np.float32)
         return wp.array(values, dtype=wp.vec3, device=device)
 
+    layout = lay_out(options.storage, layers, resolution)
     out = LightMap()
     if old is not None and old.layers == layers:
-        out.depth = old.depth
+        out.depth, out.layer_begin = old.depth, old.layer_begin
     else:
-        out.depth = wp.empty((layers, resolution, resolution), dtype=float, device=device)
+        out.depth = allocate(layout, float, device)
+        out.layer_begin = wp.array(np.array(layout.begin, dtype=np.int32), dtype=int, device=device)
+    out.pitch = layout.pitch
     matrices = np.stack([view.ws_to_ss for view in views]).astype(np.float32)
     out.ws_to_ls = wp.array(matrices, dtype=wp.mat44, device=device)
     out.right_ws, out.up_ws = axes("right_ws"), axes("up_ws")
     out.layers, out.resolution = layers, resolution
-    out.light_ws, out.near = wp.vec4(*light_ws), views[0].near
+    out.light_ws, out.near = wp.vec4(*light_ws), max(views[0].near, _clamps(views)[0])
     _choose_layers(out, views, device)
     device_views = [view.to_device() for view in views]
-    if triangle is None:
-        rasteriser.draw_many(geometry.points_ws, geometry.caster_indices, device_views, out.depth, cull=cull)
-        return out
-    for layer, view in enumerate(device_views):
-        rasteriser.draw(geometry.points_ws, geometry.caster_indices, view, out.depth[layer], triangle, cull)
-        _tag_moving(out.depth, layer, geometry, triangle, rasteriser)
-    return out
+    images = layer_images(out.depth, layout)
+    owner = None if triangle is None else triangle[:, :resolution]
+    clamps = _clamps(views)
+
+    def finish(layer: int) -> None:
+        if owner is not None:
+            _tag_moving(images[layer], geometry, owner, rasteriser)
+        if clamps[layer] > 0.0:
+            clamp_casters(images[layer], clamps[layer], rasteriser.threads)
+
+    needed = None
+    # a single view mostly sees most of the casters: finding out which it does not costs more than drawing them
+    if blocks is not None and (options.drawing != "passes" or (layers > 1 and not everything)):
+        needed = blocks.pull()
+    beside = rasteriser.draw_many(
+        geometry.points_ws,
+        geometry.caster_indices,
+        device_views,
+        images,
+        None if owner is None else [owner] * layers,
+        cull,
+        blocks=needed,
+        drawing=options.drawing,
+        everything=everything,
+        drawn=finish,
+    )
+    return out, beside
 
 
-def _tag_moving(depth: wp.array, layer: int, geometry: Geometry, triangle: wp.array, rasteriser: Rasteriser) -> None:
+def _tag_moving(depth: wp.array, geometry: Geometry, triangle: wp.array, rasteriser: Rasteriser) -> None:
     device, threads = rasteriser.device, rasteriser.threads
-    pixels = triangle.size
-    if not uses_lanes(device) or pixels < LANES:
-        inputs = [triangle, geometry.triangle_mesh, geometry.mesh_flags, layer]
-        launch(tag_moving, triangle.shape, inputs, [depth], device=device, threads=threads)
+    height, width = depth.shape
+    if not uses_lanes(device) or width < LANES:
+        inputs = [triangle, geometry.triangle_mesh, geometry.mesh_flags]
+        launch(tag_moving, depth.shape, inputs, [depth], device=device, threads=threads)
         return
-    runs = -(-pixels // int(LANES))
-    inputs = [runs_of(triangle, Ints), geometry.moving_triangles, pixels]
-    if pixels % int(LANES):
-        # the last two runs overlap: one thread does them one after the other
-        threads = 1
-    launch(tag_moving_lanes, runs, inputs, [runs_of(depth[layer], Floats)], device=device, threads=threads)
+    inputs = [runs_of(triangle, Ints), geometry.moving_triangles, width, depth.strides[0] // 4]
+    runs = (height, runs_per_row(width))
+    launch(tag_moving_lanes, runs, inputs, [runs_of(depth, Floats)], device=device, threads=threads)
 
 
 def _choose_layers(out: LightMap, views: Sequence[HostView], device: str) -> None:
@@ -129,7 +161,38 @@ def _choose_layers(out: LightMap, views: Sequence[HostView], device: str) -> Non
     out.split_far = wp.array([choice.far for choice in choices], dtype=float, device=device)
 
 
+class CasterBlocks:
+    """The blocks of a geometry's casters, made when they are first asked for and kept up to date.
+
+    Args:
+        geometry: What casts.
+        device: Warp device, the geometry's.
+        threads: CPU threads; None for all.
+    """
+
+    def __init__(self, geometry: Geometry, device: str, threads: int | None) -> None:
+        self._geometry, self._device, self._threads = geometry, device, threads
+        self._blocks: TriangleBlocks | None = None
+        self._version = 0
+
+    def pull(self) -> TriangleBlocks | None:
+        """The blocks at the geometry's present frame; None where nothing casts."""
+        geometry = self._geometry
+        if geometry.caster_triangles == 0:
+            return None
+        if self._blocks is None:
+            self._blocks = TriangleBlocks(geometry.points_ws, geometry.caster_indices, self._device, self._threads)
+        elif self._version != geometry.version:
+            self._blocks.update([(int(begin), int(end)) for begin, end in geometry.moving_triangles.numpy()])
+        self._version = geometry.version
+        return self._blocks
+
+
 def views_stamp(views: Sequence[HostView]) -> tuple[bytes, tuple]:
     """What a map's content depends on of its views, comparable."""
     choices = tuple(view.choice for view in views if isinstance(view, ProjectiveView))
-    return np.stack([view.ws_to_ss for view in views]).tobytes(), choices
+    return np.stack([view.ws_to_ss for view in views]).tobytes(), (choices, _clamps(views))
+
+
+def _clamps(views: Sequence[HostView]) -> tuple[float, ...]:
+    return tuple(view.clamped_before if isinstance(view, ProjectiveView) else 0.0 for view in views)

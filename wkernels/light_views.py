@@ -136,17 +136,22 @@ def perspective_aliasing(
     points = eye.eye_ws + z[:, None] * eye.forward_ws
     pixel = z * (eye.window[3] - eye.window[2]) / eye.height
     m_x, m_z = np.full(steps, np.nan), np.full(steps, np.nan)
-    taken = np.zeros(steps, dtype=bool)
+    taken, margin = np.zeros(steps, dtype=bool), np.zeros(steps)
     for view in light_views:
         rows = view.ws_to_ss
         h = points @ rows[:, :3].T + rows[:, 3]
         inside = (h[:, 3] > 0) & (np.abs(h[:, 0]) <= h[:, 3]) & (np.abs(h[:, 1]) <= h[:, 3])
         choice = getattr(view, "choice", None)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ndc = h[:, :2] / h[:, 3:]
         if choice is not None:  # as receivers choose: the first layer, with depth the first whose split has not ended
             inside &= ~taken & (z < choice.far if choice.rule == "depth" else True)
             taken |= inside
+        else:  # the layer that holds the point most centrally
+            room = 1.0 - np.abs(ndc).max(axis=1)
+            inside &= room >= margin
+            margin = np.where(inside, room, margin)
         with np.errstate(divide="ignore", invalid="ignore"):
-            ndc = h[:, :2] / h[:, 3:]
             gradient = (rows[None, :2, :3] - ndc[:, :, None] * rows[None, 3:, :3]) / h[:, 3, None, None]
         gradient *= 0.5 * np.array([view.width, view.height])[None, :, None]  # texels per unit length
         to_light = light_ws[:3] - points * light_ws[3]

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from wkernels.comparison_lanes import first_texels
 from wkernels.lanes import LANES, Floats, Pairs
+from wkernels.light_map import LightMap, to_texel
 from wkernels.receiver_lanes import ReceiverRun
 
 
@@ -45,23 +47,22 @@ def smaller_step(before: float, here: float, after: float):
 @wp.kernel
 def find_moments(
     first: int,
-    depth: wp.array3d(dtype=float),
+    depth: wp.array2d(dtype=float),  # of one layer
     chebyshev: Chebyshev,
     slope_variance: int,
-    layer: int,
     moments_out: wp.array2d(dtype=wp.vec2),
 ):
     """Depth and squared depth of each texel of a layer."""
     row, x = wp.tid()
     y = first + row
     last = depth.shape[1] - 1
-    z = normalised(chebyshev, depth[layer, y, x])
+    z = normalised(chebyshev, depth[y, x])
     square = z * z
     if slope_variance != 0:
-        left = normalised(chebyshev, depth[layer, y, wp.max(x - 1, 0)])
-        right = normalised(chebyshev, depth[layer, y, wp.min(x + 1, last)])
-        above = normalised(chebyshev, depth[layer, wp.max(y - 1, 0), x])
-        below = normalised(chebyshev, depth[layer, wp.min(y + 1, last), x])
+        left = normalised(chebyshev, depth[y, wp.max(x - 1, 0)])
+        right = normalised(chebyshev, depth[y, wp.min(x + 1, last)])
+        above = normalised(chebyshev, depth[wp.max(y - 1, 0), x])
+        below = normalised(chebyshev, depth[wp.min(y + 1, last), x])
         dx = smaller_step(left, z, right)
         dy = smaller_step(above, z, below)
         square += 0.25 * (dx * dx + dy * dy)
@@ -71,13 +72,16 @@ def find_moments(
 @wp.kernel
 def find_moments_lanes(
     first: int,
-    depth: wp.array(dtype=Floats),  # of one layer, a run from every texel on
+    depth: wp.array(dtype=Floats),  # of the map, a run from every texel on
     chebyshev: Chebyshev,
-    texels: int,
+    begin: int,  # of the layer
+    pitch: int,
+    resolution: int,
     moments_out: wp.array(dtype=Pairs),
 ):
-    """``find_moments`` of a run of texels, without the slope term; the last run begins within the one before."""
-    at = wp.min((first + wp.tid()) * LANES, texels - LANES)
+    """``find_moments`` of a run of texels, without the slope term; a row's last run begins within the one before."""
+    row, run = wp.tid()
+    at = begin + (first + row) * pitch + wp.min(run * LANES, resolution - LANES)
     near = chebyshev.near
     per_length = chebyshev.per_length
     depths = depth[at]
@@ -90,13 +94,14 @@ def find_moments_lanes(
 
 
 @wp.func
-def lit_share_run(
-    chebyshev: Chebyshev, moments: wp.array(dtype=float), receivers: ReceiverRun, resolution: int
-):
+def lit_share_run(chebyshev: Chebyshev, moments: wp.array(dtype=float), receivers: ReceiverRun, light_map: LightMap):
     """``lit_share`` of each lane with a receiver from ``sample_bilinear`` at its place, the others' visibility.
 
-    ``moments`` are those of all layers, flat.
+    ``moments`` are those of all layers, flat, in the layout of the map.
     """
+    begin = first_texels(light_map, receivers)
+    pitch = light_map.pitch
+    resolution = light_map.resolution
     layers = receivers.layer
     visible = receivers.visible
     xs = receivers.x
@@ -112,8 +117,8 @@ def lit_share_run(
         top = wp.floor(ys[k] - 0.5)
         x0 = wp.clamp(int(left), 0, last)
         x1 = wp.clamp(int(left) + 1, 0, last)
-        y0 = (wp.max(layers[k], 0) * resolution + wp.clamp(int(top), 0, last)) * resolution
-        y1 = (wp.max(layers[k], 0) * resolution + wp.clamp(int(top) + 1, 0, last)) * resolution
+        y0 = begin[k] + wp.clamp(int(top), 0, last) * pitch
+        y1 = begin[k] + wp.clamp(int(top) + 1, 0, last) * pitch
         fx = xs[k] - 0.5 - left
         fy = ys[k] - 0.5 - top
         a = 2 * (y0 + x0)
@@ -136,9 +141,9 @@ def lit_share_run(
 
 
 @wp.func
-def sample_bilinear(image: wp.array3d(dtype=wp.vec2), layer: int, x: float, y: float):
-    """Bilinear lookup at a position in texels; beyond the border the nearest texel repeats."""
-    last = image.shape[1] - 1
+def sample_bilinear(image: wp.array(dtype=wp.vec2), light_map: LightMap, layer: int, x: float, y: float):
+    """Bilinear lookup at a position in texels, in the layout of a map; beyond a layer's border the nearest repeats."""
+    last = light_map.resolution - 1
     left = wp.floor(x - 0.5)
     top = wp.floor(y - 0.5)
     x0 = wp.clamp(int(left), 0, last)
@@ -147,8 +152,10 @@ def sample_bilinear(image: wp.array3d(dtype=wp.vec2), layer: int, x: float, y: f
     y1 = wp.clamp(int(top) + 1, 0, last)
     fx = x - 0.5 - left
     fy = y - 0.5 - top
-    upper = image[layer, y0, x0] * (1.0 - fx) + image[layer, y0, x1] * fx
-    lower = image[layer, y1, x0] * (1.0 - fx) + image[layer, y1, x1] * fx
+    row_0 = to_texel(light_map, layer, 0, y0)
+    row_1 = to_texel(light_map, layer, 0, y1)
+    upper = image[row_0 + x0] * (1.0 - fx) + image[row_0 + x1] * fx
+    lower = image[row_1 + x0] * (1.0 - fx) + image[row_1 + x1] * fx
     return upper * (1.0 - fy) + lower * fy
 
 

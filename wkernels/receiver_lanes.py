@@ -11,6 +11,7 @@ import warp as wp
 from wkernels.gbuffer import PADDING, GBuffer
 from wkernels.geometry import CASTS, RECEIVES
 from wkernels.lanes import LANES, Floats, Ints, Vectors, flat_floats, runs_of
+from wkernels.layer_lanes import to_layers
 from wkernels.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL, BIAS_SLOPE, ROUNDING, Bias, LightMap
 
 
@@ -22,7 +23,7 @@ class LaneViews:
     flags: wp.array(dtype=Ints)  # a run from every pixel on
     position_ws: wp.array(dtype=Vectors)  # a run from every component on
     normal_ws: wp.array(dtype=Vectors)
-    depth: wp.array(dtype=float)  # flat (layers R R,), to be fetched from anywhere
+    depth: wp.array(dtype=float)  # of all layers, to be fetched from anywhere
 
 
 @wp.struct
@@ -58,24 +59,12 @@ def lane_views(gbuffer: GBuffer, light_map: LightMap) -> LaneViews:
 
 
 @wp.func
-def to_layers(light_map: LightMap, wanted: Ints, px: Floats, py: Floats, pz: Floats):
-    """``to_layer`` of each lane that is wanted (1), -1 of the others (0)."""
-    best = Ints(-1)
-    margin = Floats(0.0)
-    for layer in range(light_map.layers):
-        m = light_map.ws_to_ls[layer]
-        m00, m01, m02, m03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]
-        m10, m11, m12, m13 = m[1, 0], m[1, 1], m[1, 2], m[1, 3]
-        m30, m31, m32, m33 = m[3, 0], m[3, 1], m[3, 2], m[3, 3]
-        for k in range(LANES):
-            x = m00 * px[k] + m01 * py[k] + m02 * pz[k] + m03
-            y = m10 * px[k] + m11 * py[k] + m12 * pz[k] + m13
-            w = m30 * px[k] + m31 * py[k] + m32 * pz[k] + m33
-            inside = 1.0 - wp.max(wp.abs(x), wp.abs(y)) / w
-            better = wp.where(w > 0.0, wp.where(inside >= margin[k], wanted[k], 0), 0)
-            margin[k] = wp.where(better != 0, inside, margin[k])
-            best[k] = wp.where(better != 0, layer, best[k])
-    return best
+def is_read(layers: Ints, layer: int):
+    """Whether any lane is on a layer; neighbours mostly share theirs."""
+    count = int(0)
+    for k in range(LANES):
+        count += wp.where(layers[k] == layer, 1, 0)
+    return count > 0
 
 
 @wp.func
@@ -130,6 +119,8 @@ def locate_run(views: LaneViews, light_map: LightMap, bias: Bias, x0: int, y: in
     density_y = Floats(0.0)
     resolution = float(light_map.resolution)
     for layer in range(light_map.layers):
+        if light_map.layers > 1 and not is_read(layers, layer):
+            continue
         m = light_map.ws_to_ls[layer]
         m00, m01, m02, m03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]
         m10, m11, m12, m13 = m[1, 0], m[1, 1], m[1, 2], m[1, 3]
@@ -176,6 +167,8 @@ def locate_run(views: LaneViews, light_map: LightMap, bias: Bias, x0: int, y: in
     scale_x = Floats(0.0)
     scale_y = Floats(0.0)
     for layer in range(light_map.layers):
+        if light_map.layers > 1 and not is_read(layers, layer):
+            continue
         m = light_map.ws_to_ls[layer]
         m00, m01, m02, m03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]
         m10, m11, m12, m13 = m[1, 0], m[1, 1], m[1, 2], m[1, 3]

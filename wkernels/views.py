@@ -119,10 +119,12 @@ class ProjectiveView(HostView):
     Attributes:
         rows: float64 (4, 4), rows x, y, linear depth, w; stands in for ``window``.
         choice: None where the receivers' place in the layers decides.
+        clamped_before: Linear depth that nearer casters are moved to; 0 where they keep their own.
     """
 
     rows: np.ndarray = field(default_factory=lambda: np.eye(4))
     choice: LayerChoice | None = None
+    clamped_before: float = 0.0
 
     @property
     def ws_to_ss(self) -> np.ndarray:

@@ -29,7 +29,7 @@ from wkernels.filtering_lanes import keep_without_receiver, penumbra_filter_run
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer
 from wkernels.lanes import LANES, Floats, runs_per_row, uses_lanes
-from wkernels.light_map import BY_MARGIN, Bias, LightMap
+from wkernels.light_map import Bias, LightMap
 from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.receivers import receiver_of_pixel
 
@@ -126,7 +126,7 @@ class Pcf(Technique):
         taps = pull_taps(frame, params.kernel, params.taps)
         with frame.timed("filter comparisons"):
             inputs = [light_map, params.device_bias, taps, params.radius, int(params.bilinear)]
-            if uses_lanes(frame.device) and light_map.selection == BY_MARGIN:
+            if uses_lanes(frame.device):
                 runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
                 frame.launch(filter_comparisons_lanes, runs, [lane_views(gbuffer, light_map), *inputs], [visibility])
             else:

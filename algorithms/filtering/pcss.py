@@ -24,7 +24,7 @@ discs, spheres and the sun; for rectangles and lines ``box`` is exact.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import warp as wp
 from pydantic import ValidationInfo, field_validator
@@ -42,7 +42,7 @@ from wkernels.filtering_lanes import flat_half_axes, pcss_visibility_run, tap_ro
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer
 from wkernels.lanes import LANES, runs_per_row, uses_lanes
-from wkernels.light_map import BY_MARGIN, Bias, LightMap
+from wkernels.light_map import Bias, LightMap
 from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.receivers import receiver_of_pixel
 
@@ -112,6 +112,9 @@ class Pcss(Technique):
     family = "filtering"
     paper = ("fernando2005pcss", "schwaerzler2009", "scherzer2009tc", "stingl2011")
     needs = Needs(area=True)
+    stability_limits: ClassVar[dict[str, str]] = {
+        "light_grows": "one map sees one side of a caster, and a light much wider than its distance shines past both"
+    }
     bias_sign = "none"
     limits = (Limit(equals="shadow_map", light_scale=0.0),)
 
@@ -165,7 +168,7 @@ class Pcss(Technique):
         with frame.timed("penumbra filter"):
             options = [int(params.rotate), int(params.bilinear), frame.seed]
             inputs = [params.device_bias, *taps, *options]
-            if uses_lanes(frame.device) and light_map.selection == BY_MARGIN:
+            if uses_lanes(frame.device):
                 maps = [lane_views(gbuffer, light_map), light_map, footprint, flat_half_axes(footprint)]
                 runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
                 frame.launch(filter_penumbra_lanes, runs, [*maps, *inputs], [visibility])

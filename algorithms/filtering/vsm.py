@@ -22,7 +22,7 @@ map's border, and at that of a face of an omnidirectional map.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import warp as wp
 from pydantic import field_validator
@@ -40,7 +40,8 @@ from wkernels.filtering import (
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer
 from wkernels.lanes import LANES, Floats, Pairs, flat_floats, runs_of, runs_per_row, uses_lanes
-from wkernels.light_map import BY_MARGIN, Bias, LightMap
+from wkernels.light_map import Bias, LightMap, layout_of
+from wkernels.map_storage import MapLayout, allocate, layer_images
 from wkernels.moments import (
     Chebyshev,
     depth_range,
@@ -63,7 +64,7 @@ def look_up_blurred(
     light_map: LightMap,
     bias: Bias,
     chebyshev: Chebyshev,
-    moments: wp.array3d(dtype=wp.vec2),
+    moments: wp.array(dtype=wp.vec2),
     visibility_out: wp.array2d(dtype=float),
 ):
     """One bilinear lookup of filtered moments per pixel."""
@@ -72,7 +73,7 @@ def look_up_blurred(
     receiver = receiver_of_pixel(gbuffer, light_map, bias, y, x)
     visible = receiver.visible
     if receiver.layer >= 0:
-        mean = sample_bilinear(moments, receiver.layer, receiver.x, receiver.y)
+        mean = sample_bilinear(moments, light_map, receiver.layer, receiver.x, receiver.y)
         visible = lit_share(chebyshev, mean, normalised(chebyshev, receiver.depth))
     visibility_out[y, x] = visible
 
@@ -94,7 +95,7 @@ def look_up_blurred_lanes(
     receivers = locate_run(views, light_map, bias, x0, y)
     visible = receivers.visible
     if receivers.count > 0:
-        visible = lit_share_run(chebyshev, moments, receivers, light_map.resolution)
+        visible = lit_share_run(chebyshev, moments, receivers, light_map)
     for k in range(wp.min(LANES, visibility_out.shape[1] - x0)):
         visibility_out[y, x0 + k] = visible[k]
 
@@ -143,11 +144,13 @@ class Moments:
 
     Attributes:
         chebyshev: The depth range they are normalised to, and the technique's constants.
-        image: vec2 (layers, R, R): mean and mean square of normalised depth.
+        image: vec2 (texels,), in the layout of the map: mean and mean square of normalised depth.
+        layout: That layout.
     """
 
     chebyshev: Chebyshev
     image: wp.array
+    layout: MapLayout
 
 
 class Vsm(Technique):
@@ -156,6 +159,9 @@ class Vsm(Technique):
     name = "vsm"
     family = "filtering"
     paper = ("donnelly2006vsm", "lauritzen2007savsm", "fernando2005pcss", "schwaerzler2009")
+    stability_limits: ClassVar[dict[str, str]] = {
+        "light_place": "no texel falls on a receiver in whose plane the light lies"
+    }
     bias_sign = "lighter"
 
     class Params(MapParams):
@@ -216,7 +222,7 @@ class Vsm(Technique):
         if params.width == "fixed":
             image = self._blurred(frame, moments)
             with frame.timed("moment lookup"):
-                if uses_lanes(frame.device) and light_map.selection == BY_MARGIN:
+                if uses_lanes(frame.device):
                     inputs = [lane_views(gbuffer, light_map), *common, flat_floats(image)]
                     runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
                     frame.launch(look_up_blurred_lanes, runs, inputs, [visibility])
@@ -237,18 +243,16 @@ class Vsm(Technique):
             chebyshev = Chebyshev()
             chebyshev.near, chebyshev.per_length = near, 1.0 / (far - near)
             chebyshev.min_variance, chebyshev.bleeding = self.params.min_variance, self.params.bleeding
-            image = _reuse(old.image if old else None, light_map.depth.shape, wp.vec2, frame.device)
-            for layer in range(light_map.layers):
-                texels = light_map.resolution**2
-                if uses_lanes(frame.device) and texels >= LANES and not self.params.slope_variance:
-                    runs = runs_of(image[layer], Pairs)
-                    inputs = [runs_of(light_map.depth[layer], Floats), chebyshev, texels]
-                    # with a remainder the last two runs overlap, and both write the same
-                    frame.launch(find_moments_lanes, runs_per_row(texels), inputs, [runs])
+            layout, side = layout_of(light_map), light_map.resolution
+            image = _reuse(old.image if old else None, layout, frame.device)
+            layers = zip(layer_images(light_map.depth, layout), layer_images(image, layout), strict=True)
+            for begin, (depth, out) in zip(layout.begin, layers, strict=True):
+                if uses_lanes(frame.device) and side >= LANES and not self.params.slope_variance:
+                    inputs = [runs_of(light_map.depth, Floats), chebyshev, begin, layout.pitch, side]
+                    frame.launch(find_moments_lanes, (side, runs_per_row(side)), inputs, [runs_of(image, Pairs)])
                 else:
-                    inputs = [light_map.depth, chebyshev, int(self.params.slope_variance), layer]
-                    frame.launch(find_moments, image.shape[1:], inputs, [image[layer]])
-            return Moments(chebyshev, image)
+                    frame.launch(find_moments, out.shape, [depth, chebyshev, int(self.params.slope_variance)], [out])
+            return Moments(chebyshev, image, layout)
 
         # a map that is drawn anew is a new struct, so that the struct itself stands for everything the map depends on
         moments: Moments = frame.product("moments", "moments", (light_map,), build)
@@ -259,11 +263,11 @@ class Vsm(Technique):
             return moments.image
 
         def build(old: wp.array | None) -> wp.array:
-            out = _reuse(old, moments.image.shape, wp.vec2, frame.device)
-            scratch = frame.buffer("blurred rows", moments.image.shape[1:], wp.vec2)
+            out, layout = _reuse(old, moments.layout, frame.device), moments.layout
+            scratch = frame.buffer("blurred rows", (layout.resolution, layout.resolution), wp.vec2)
             weights = gaussian_weights(self.params.taps // 2)
-            for layer in range(len(out)):
-                separable_blur(moments.image[layer], weights, threads=frame.threads, scratch=scratch, out=out[layer])
+            for image, blurred in zip(layer_images(moments.image, layout), layer_images(out, layout), strict=True):
+                separable_blur(image, weights, threads=frame.threads, scratch=scratch, out=blurred)
             return out
 
         blurred: wp.array = frame.product("blur of moments", "blurred moments", (moments,), build)
@@ -271,15 +275,17 @@ class Vsm(Technique):
 
     def _tables(self, frame: Frame, moments: Moments) -> wp.array:
         def build(old: wp.array | None) -> wp.array:
-            layers, height, width = moments.image.shape
-            out = _reuse(old, (layers, height + 1, width + 1), wp.vec2d, frame.device)
-            for layer in range(layers):
-                summed_area_table(moments.image[layer], threads=frame.threads, out=out[layer])
+            images = layer_images(moments.image, moments.layout)
+            shape = (len(images), moments.layout.resolution + 1, moments.layout.resolution + 1)
+            kept = old if old is not None and old.shape == shape else None
+            out = kept or wp.empty(shape, dtype=wp.vec2d, device=frame.device)
+            for layer, image in enumerate(images):
+                summed_area_table(image, threads=frame.threads, out=out[layer])
             return out
 
         tables: wp.array = frame.product("summed-area tables", "summed-area tables", (moments,), build)
         return tables
 
 
-def _reuse(old: wp.array | None, shape: tuple[int, ...], dtype: type, device: str) -> wp.array:
-    return old if old is not None and old.shape == shape else wp.empty(shape, dtype=dtype, device=device)
+def _reuse(old: wp.array | None, layout: MapLayout, device: str) -> wp.array:
+    return old if old is not None and old.size == layout.texels else allocate(layout, wp.vec2, device)

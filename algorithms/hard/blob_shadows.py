@@ -83,6 +83,9 @@ class BlobShadows(Technique):
     expected_failures: ClassVar[dict[str, str]] = {
         "behind_an_opaque_slab_all_is_dark": "a blob fades with the height of its caster"
     }
+    stability_limits: ClassVar[dict[str, str]] = {
+        "light_place": "a blob is a spot on what lies behind a caster: a light inside one darkens nothing else"
+    }
 
     class Params(Params):
         """How blobs look."""

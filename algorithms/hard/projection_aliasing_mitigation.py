@@ -26,7 +26,7 @@ from wkernels.comparison_lanes import compare_nearest_run
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer
 from wkernels.lanes import LANES, runs_per_row, uses_lanes
-from wkernels.light_map import BY_MARGIN, Bias, LightMap, compare_nearest, to_light
+from wkernels.light_map import Bias, LightMap, compare_nearest, to_light
 from wkernels.neighbourhood_filter import filter_neighbourhood, pull_opposite_taps
 from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.receivers import receiver_of_pixel
@@ -118,7 +118,7 @@ class ProjectionAliasingMitigation(Technique):
         width = frame.buffer("filter width", visibility.shape, wp.float32)
         with frame.timed("compare depth"):
             inputs = [light_map, p.device_bias]
-            if uses_lanes(frame.device) and light_map.selection == BY_MARGIN:
+            if uses_lanes(frame.device):
                 runs = (psi.shape[0], runs_per_row(psi.shape[1]))
                 frame.launch(hide_pixels_lanes, runs, [lane_views(gbuffer, light_map), *inputs], [psi])
             else:

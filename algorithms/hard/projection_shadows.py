@@ -19,6 +19,8 @@ in the plane itself casts none (M has rank 1). The cost grows with planes times 
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 import warp as wp
 
@@ -85,6 +87,10 @@ class ProjectionShadows(Technique):
     family = "hard"
     paper = ("blinn1988", "schwaerzler2009", "heckbert1997")
     needs = Needs(planar_receiver=True)
+    stability_limits: ClassVar[dict[str, str]] = {
+        "light_place": "a light in the receiver's plane flattens nothing onto it: the projection has rank 1",
+        "grazing": "the flattened casters reach to where float32 has no digits left as the light nears the plane",
+    }
     bias_sign = "none"
     limits = (
         Limit(equals="ray_cast_point_shadow", tolerance=1e-6, flips=0.01),

@@ -20,7 +20,7 @@ from wkernels.comparison_lanes import compare_nearest_run
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer
 from wkernels.lanes import LANES, runs_per_row, uses_lanes
-from wkernels.light_map import BY_MARGIN, Bias, LightMap, compare_nearest
+from wkernels.light_map import Bias, LightMap, compare_nearest
 from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.receivers import receiver_of_pixel
 
@@ -76,7 +76,7 @@ class ShadowMap(Technique):
         light_map = frame.light_map(self.params.resolution, cull=self.params.cull)
         with frame.timed("compare depth"):
             inputs = [light_map, self.params.device_bias]
-            if uses_lanes(frame.device) and light_map.selection == BY_MARGIN:
+            if uses_lanes(frame.device):
                 runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
                 frame.launch(compare_depth_lanes, runs, [lane_views(gbuffer, light_map), *inputs], [visibility])
             else:

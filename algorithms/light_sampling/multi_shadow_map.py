@@ -14,7 +14,7 @@ aliasing and bias, which N different maps blur but do not remove.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import warp as wp
@@ -26,7 +26,7 @@ from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer, is_back_lit
 from wkernels.geometry import RECEIVES
 from wkernels.lanes import LANES, runs_per_row, uses_lanes
-from wkernels.light_map import BY_MARGIN, Bias, LightMap, compare_nearest, locate_receiver, to_light
+from wkernels.light_map import Bias, LightMap, compare_nearest, locate_receiver, to_light
 from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 
 
@@ -89,6 +89,9 @@ class MultiShadowMap(Technique):
     name = "multi_shadow_map"
     family = "light_sampling"
     paper = ("heckbert1997", "scherzer2009tc")
+    stability_limits: ClassVar[dict[str, str]] = {
+        "light_place": "no texel falls on a receiver in whose plane the light lies"
+    }
     bias_sign = "none"
 
     class Params(MapParams):
@@ -123,7 +126,7 @@ class MultiShadowMap(Technique):
             light_map = frame.light_map(p.resolution, samples.host[i], slot=("sample", i), cull=p.cull)
             with frame.timed("compare depths"):
                 inputs = [light_map, p.device_bias, float(weights[i])]
-                if uses_lanes(frame.device) and light_map.selection == BY_MARGIN:
+                if uses_lanes(frame.device):
                     runs = (seen.shape[0], runs_per_row(seen.shape[1]))
                     frame.launch(add_comparison_lanes, runs, [lane_views(gbuffer, light_map), *inputs], [seen])
                 else:

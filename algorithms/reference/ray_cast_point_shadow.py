@@ -22,6 +22,7 @@ class RayCastPointShadow(Technique):
     name = "ray_cast_point_shadow"
     family = "reference"
     paper = ("schwaerzler2009",)
+    hard = True
     bias_sign = "none"
 
     def render(self, frame: Frame) -> wp.array:

@@ -37,7 +37,7 @@ frame, as points are followed by the camera's motion alone.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import warp as wp
@@ -48,7 +48,6 @@ from wkernels.filtering import check_tap_count, pull_footprint, pull_taps
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import PADDING
 from wkernels.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
-from wkernels.light_map import BY_MARGIN
 from wkernels.neighbourhood_filter import filter_neighbourhood, filter_neighbourhood_lanes, pull_opposite_taps
 from wkernels.receiver_lanes import lane_views
 from wkernels.shadow_buffer import BILINEAR, NEAREST, TEXEL_TYPES, storage_of
@@ -63,6 +62,9 @@ class TcSoftPaper(Technique):
     family = "temporal"
     paper = ("scherzer2009tc", "schwaerzler2009", "fernando2005pcss")
     needs = Needs(area=True, history=True)
+    stability_limits: ClassVar[dict[str, str]] = {
+        "light_place": "no texel falls on a receiver in whose plane the light lies"
+    }
     bias_sign = "none"
     limits = (
         Limit(
@@ -177,7 +179,7 @@ class TcSoftPaper(Technique):
             inputs = [gbuffer, light_map, pull_footprint(frame, light_map), settings]
             inputs += [history.previous_view or gbuffer.view, history.previous]
             outputs = [history.current, psi, error, half_width]
-            if uses_lanes(frame.device) and light_map.selection == BY_MARGIN and p.buffer == "float32":
+            if uses_lanes(frame.device) and p.buffer == "float32":
                 flat = [lane_views(gbuffer, light_map), runs_of(gbuffer.depth, Floats, PADDING)]
                 flat.append(flat_floats(history.previous))
                 runs = (shape[0], runs_per_row(shape[1]))

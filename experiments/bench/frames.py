@@ -15,6 +15,7 @@ from experiments.bench.rows import WARM_UPS, Row, Timed, interleaved_medians
 from experiments.config.needs import unmet_need
 from wkernels.frame import Session
 from wkernels.geometry import Geometry
+from wkernels.light_map import depths_on_host
 
 
 class Walk:
@@ -103,7 +104,7 @@ def compare_frame_with_passes(bench: Bench, name: str) -> Iterator[Row]:
     vertices, faces = geometry.points_ws.numpy(), geometry.caster_indices.numpy().reshape(-1, 3)
 
     def depth() -> np.ndarray:
-        return walk.session.light_map(params.resolution, cull=params.cull).depth.numpy()[0]
+        return depths_on_host(walk.session.light_map(params.resolution, cull=params.cull))[0]
 
     note = (
         f"ours: a whole shadow_map frame, {size[0]}x{size[1]}, map drawn anew; peer: 3 depth passes, {len(faces)} "

@@ -18,7 +18,7 @@ from wkernels.filtering import BORDER, pull_footprint, tap_set
 from wkernels.frame import Session
 from wkernels.gbuffer import GBuffer
 from wkernels.geometry import CASTS, RECEIVES, Bounds, Geometry
-from wkernels.light_map import ROUNDING
+from wkernels.light_map import ROUNDING, depths_on_host
 from wkernels.light_views import scene_views
 from wkernels.raster import CULL_BACK, Rasteriser
 from wkernels.views import HostView, eye_view
@@ -121,7 +121,7 @@ class OurPcss:
         images = {
             "position_ws": _with_flag(gbuffer, gbuffer.position_ws, RECEIVES),
             "normal_ws": _with_flag(gbuffer, gbuffer.normal_ws, CASTS),
-            "map_depth": self._session.light_map(params.resolution, cull=params.cull).depth.numpy()[0],
+            "map_depth": depths_on_host(self._session.light_map(params.resolution, cull=params.cull))[0],
         }
         taps = {key: tap_set(params.kernel, getattr(params, key)) for key in ("blocker_taps", "filter_taps")}
         return images, taps

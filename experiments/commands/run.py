@@ -1,15 +1,39 @@
-"""``wkernels run``, ``report`` and ``explain``."""
+"""``wkernels run``, ``report`` and ``explain``: each kind of experiment has its own loader, run and explanation."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from algorithms.plugins import load_all
 from experiments.commands.progress import progress_display
-from experiments.config.analysis import is_analysis, load_analysis
-from experiments.config.schema import load_experiment
+from experiments.config.kinds import kind_of
+
+
+@dataclass(frozen=True)
+class _Request:
+    """What the command line asks for.
+
+    Attributes:
+        config: Experiment file.
+        out: Result folder; None for ``out/NAME``.
+        overrides: Texts of ``--set``.
+        plugin_files: Files of ``--plugin``.
+        options: Further arguments of ``runner.run`` and its like: device, threads, resume, skips.
+    """
+
+    config: Path
+    out: Path | None
+    overrides: Sequence[str]
+    plugin_files: Sequence[Path]
+    options: dict[str, Any]
+
+    def folder(self, name: str) -> Path:
+        return self.out or Path("out") / name
 
 
 def run_experiment(
@@ -24,50 +48,116 @@ def run_experiment(
     plugin_files: Sequence[Path],
 ) -> None:
     """Runs an experiment, which writes its report, and says where that is."""
-    if is_analysis(config, overrides):
-        from experiments.analysis import run_analysis
+    options = {"device": device, "threads": threads, "resume": resume, "skips": skips}
+    kinds = {"analysis": _run_analysis, "convergence": _run_convergence, "stability": _run_stability}
+    run = kinds.get(kind_of(config, overrides) or "", _run_walkthrough)
+    run(_Request(config, out, overrides, plugin_files, options))
 
-        analysis = load_analysis(config, overrides)
-        print(f"Table: {run_analysis(analysis, out or Path('out') / analysis.name)}")
-        return
+
+def _run_walkthrough(request: _Request) -> None:
+    from experiments.config.schema import load_experiment
     from experiments.runner import run
 
-    plugins = load_all(plugin_files)
-    experiment = load_experiment(config, overrides, plugins)
-    folder = out or Path("out") / experiment.name
+    plugins = load_all(request.plugin_files)
+    experiment = load_experiment(request.config, request.overrides, plugins)
+    folder = request.folder(experiment.name)
+    with _interruptible(folder), progress_display() as progress:
+        run(experiment, folder, plugins=plugins, progress=progress, **request.options)
+    _print_published(folder)
+    print(f"Report: {folder / 'report.html'}")
+
+
+def _run_analysis(request: _Request) -> None:
+    from experiments.analysis import run_analysis
+    from experiments.config.analysis import load_analysis
+
+    analysis = load_analysis(request.config, request.overrides)
+    table = run_analysis(analysis, request.folder(analysis.name))
+    _print_published(table.parent)
+    print(f"Table: {table}")
+
+
+def _run_convergence(request: _Request) -> None:
+    from experiments.config.convergence import Estimates, load_convergence
+    from experiments.convergence import run_convergence
+    from experiments.estimates import estimates_text, run_estimates
+
+    plugins = load_all(request.plugin_files)
+    convergence = load_convergence(request.config, request.overrides, plugins)
+    folder = request.folder(convergence.name)
+    if isinstance(convergence, Estimates):
+        table = run_estimates(convergence, folder)
+        print(f"{estimates_text(convergence)}\nTable: {table}")
+        return
+    with _interruptible(folder), progress_display() as progress:
+        run_convergence(convergence, folder, plugins=plugins, progress=progress, **request.options)
+    print(f"Report: {folder / 'report.html'}")
+
+
+def _run_stability(request: _Request) -> None:
+    from experiments.config.stability import load_stability
+    from experiments.stability.run import run_stability, summary_text
+    from experiments.tables import read_table
+
+    plugins = load_all(request.plugin_files)
+    stability = load_stability(request.config, request.overrides, plugins)
+    folder = request.folder(stability.name)
+    with _interruptible(folder), progress_display() as progress:
+        table = run_stability(stability, folder, plugins, progress=progress, **request.options)
+    print(f"{summary_text(read_table(table))}\nTable: {table}\nHeat map: {folder / 'plots' / 'stability.png'}")
+
+
+@contextmanager
+def _interruptible(folder: Path) -> Iterator[None]:
     try:
-        with progress_display() as progress:
-            run(
-                experiment,
-                folder,
-                device=device,
-                threads=threads,
-                resume=resume,
-                skips=skips,
-                plugins=plugins,
-                progress=progress,
-            )
+        yield
     except KeyboardInterrupt:
         print(f"\nInterrupted; what is done is in {folder}, --resume continues.", file=sys.stderr)
         raise
-    print(f"Report: {folder / 'report.html'}")
+
+
+def _print_published(folder: Path) -> None:
+    from experiments.published import published_text, read_published
+
+    if text := published_text(read_published(folder)):
+        print(f"{text}\n")
 
 
 def report_folder(folder: Path) -> None:
     """Writes the report of a result folder again."""
     from experiments.report import write_report
+    from experiments.report.convergence import write_convergence_report
 
-    print(f"Report: {write_report(folder)}")
+    write = write_convergence_report if (folder / "convergence.csv").is_file() else write_report
+    print(f"Report: {write(folder)}")
 
 
 def explain_experiment(config: Path, *, overrides: Sequence[str], plugin_files: Sequence[Path]) -> None:
     """Prints what an experiment will do."""
-    if is_analysis(config, overrides):
+    kind = kind_of(config, overrides)
+    if kind == "analysis":
         from experiments.analysis import explain_analysis
+        from experiments.config.analysis import load_analysis
 
         print(explain_analysis(load_analysis(config, overrides)))
         return
-    from experiments.explain import explain
-
     plugins = load_all(plugin_files)
-    print(explain(load_experiment(config, overrides, plugins), plugins))
+    if kind == "stability":
+        from experiments.config.stability import load_stability
+        from experiments.stability.run import explain_stability
+
+        print(explain_stability(load_stability(config, overrides, plugins), plugins))
+    elif kind == "convergence":
+        from experiments.config.convergence import Estimates, load_convergence
+        from experiments.convergence import explain_convergence
+
+        convergence = load_convergence(config, overrides, plugins)
+        if isinstance(convergence, Estimates):
+            print(f"Experiment {convergence.name} (convergence): estimates from {len(convergence.tests)} shadow tests")
+        else:
+            print(explain_convergence(convergence, plugins))
+    else:
+        from experiments.config.schema import load_experiment
+        from experiments.explain import explain
+
+        print(explain(load_experiment(config, overrides, plugins), plugins))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,7 +13,9 @@ from experiments.config.messages import Loc
 from experiments.config.models import Fraction, Scheme, WarpName
 from experiments.config.overrides import apply_overrides
 from experiments.config.source import Source, StrictModel, dump_yaml, load_yaml, validate
-from wkernels.errors import InputError, nearest
+from experiments.config.techniques import check_published
+from experiments.published import CURVE_QUANTITIES
+from wkernels.errors import nearest
 
 
 class AnalysisCamera(StrictModel):
@@ -38,6 +40,7 @@ class CurveFile(StrictModel):
     near: float | None = Field(None, gt=0.0)
     far: float | None = Field(None, gt=0.0)
     light_angle_deg: float | None = Field(None, ge=0.0, le=180.0)
+    published: dict[str, float] | None = None
 
 
 class AnalysisFile(StrictModel):
@@ -60,6 +63,7 @@ class Curve:
         pseudo_near, pseudo_far: Shares of the depth range before and behind the pseudo planes.
         near, far: Depth range that the maps cover: the camera's, unless a focused map covers less.
         light_angle_deg: Angle between light and view direction; 90 = overhead.
+        published: What the source printed, by name of ``experiments.published.CURVE_QUANTITIES``.
     """
 
     label: str
@@ -73,11 +77,12 @@ class Curve:
     near: float
     far: float
     light_angle_deg: float
+    published: dict[str, float] = field(default_factory=dict)
 
     def entry(self) -> dict[str, Any]:
         """The entry of an experiment file that gives this curve."""
         names = {"blend": "lambda"}
-        return {names.get(key, key): value for key, value in vars(self).items() if value is not None}
+        return {names.get(key, key): value for key, value in vars(self).items() if value not in (None, {})}
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,15 +110,6 @@ class Analysis:
                 "curves": [curve.entry() for curve in self.curves],
             }
         )
-
-
-def is_analysis(path: str | Path, overrides: Iterable[str] = ()) -> bool:
-    """Whether the file is of this kind; False where it cannot be read, which its loader will say better."""
-    try:
-        source = _read(path, overrides)
-    except InputError:
-        return False
-    return isinstance(source.data, Mapping) and source.data.get("kind") == "analysis"
 
 
 def load_analysis(path: str | Path, overrides: Iterable[str] = ()) -> Analysis:
@@ -170,4 +166,5 @@ def _curve(source: Source, loc: Loc, written: CurveFile, file: AnalysisFile, ear
         near=near,
         far=far,
         light_angle_deg=file.light_angle_deg if written.light_angle_deg is None else written.light_angle_deg,
+        published=check_published(source, (*loc, "published"), written.published, CURVE_QUANTITIES),
     )

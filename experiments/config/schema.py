@@ -14,18 +14,19 @@ from typing import Any
 from pydantic_core import to_jsonable_python
 
 from experiments.config.messages import Loc
-from experiments.config.models import FrameRange, Image, Projection, Reference, WalkthroughFile
+from experiments.config.models import FrameRange, Image, Projection, Reference, Views, WalkthroughFile
 from experiments.config.needs import check_needs
 from experiments.config.overrides import apply_overrides
 from experiments.config.source import Source, dump_yaml, load_yaml, validate
 from experiments.config.techniques import TechniqueRun, check_projection, expand_techniques
+from experiments.config.views import resolve_views
 from wkernels.errors import nearest
 from wkernels.scene import Scene
 
-__all__ = ["Experiment", "FrameRange", "Image", "Projection", "Reference", "check_needs", "load_experiment"]
+__all__ = ["Experiment", "FrameRange", "Image", "Projection", "Reference", "Views", "check_needs", "load_experiment"]
 
 KINDS = ("walkthrough", "convergence", "sweep", "stability", "analysis", "bench")
-AVAILABLE_KINDS = ("walkthrough", "analysis")
+AVAILABLE_KINDS = ("walkthrough", "convergence", "stability", "analysis")
 REFERENCE_METRICS = frozenset({"rmse", "mean_signed_error", "p99_error", "flip", "reference_standard_error"})
 
 
@@ -46,6 +47,7 @@ class Experiment:
         seed: Seed of every sample set.
         frames: Frame numbers to render, ascending.
         light: Index of the light whose visibility is compared.
+        views: Pictures to make, every default filled in; None for none.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Experiment:
     frames: tuple[int, ...]
     light: int
     loaded_scene: Scene
+    views: Views | None = None
 
     def load_scene(self) -> Scene:
         """The scene, which was loaded to check the experiment against it."""
@@ -81,6 +84,7 @@ class Experiment:
             "seed": self.seed,
             "frames": _as_range(self.frames),
             "light": self.light,
+            "views": self.views.model_dump() if self.views else None,
         }
         return dump_yaml(to_jsonable_python({key: value for key, value in data.items() if value is not None}))
 
@@ -103,17 +107,40 @@ def load_experiment(
 
         plugins = load_all()
     path = Path(path)
-    source = load_yaml(path)
-    if not isinstance(source.data, dict):
-        raise source.error("must be a mapping with the keys kind, scene, image, techniques, ...")
     base = path.resolve().parent
-    source = apply_overrides(source, overrides, lambda s: _inline_scene(s, base))
+    source = read_experiment(path, overrides)
     _check_kind(source)
     file = validate(WalkthroughFile, source)
     if file.projection is not None:
         check_projection(source, ("projection",), file.projection.model_dump(by_alias=True))
     runs = expand_techniques(source, plugins, file.projection, Projection)
     return _resolved(path.stem, source, file, runs, base, plugins)
+
+
+def read_experiment(path: Path, overrides: Iterable[str]) -> Source:
+    """An experiment file with its overrides applied, not checked yet; InputError where it is no mapping."""
+    source = load_yaml(path)
+    if not isinstance(source.data, dict):
+        raise source.error("must be a mapping with the keys kind, scene, image, techniques, ...")
+    return apply_overrides(source, overrides, lambda s: _inline_scene(s, path.resolve().parent))
+
+
+def open_scene(source: Source, base: Path, light: int) -> tuple[Path | dict[str, Any], Scene]:
+    """The scene of an experiment: where it comes from, as ``Experiment.scene`` says it, and itself.
+
+    Raises:
+        InputError: There is no such file, something in it is wrong, or it has no light of that index.
+    """
+    from experiments.scenes import load_scene, scene_from_source
+
+    scene_source = _scene_source(source, base)
+    if isinstance(scene_source, Path):
+        scene = load_scene(scene_source)
+    else:
+        scene = scene_from_source(source, ("scene",), base=base)
+    if light >= len(scene.lights):
+        raise source.error(f"the scene has {len(scene.lights)} light(s); there is no light {light}.", ("light",))
+    return scene_source, scene
 
 
 def _resolved(
@@ -124,21 +151,14 @@ def _resolved(
     base: Path,
     plugins: Mapping[str, type],
 ) -> Experiment:
-    from experiments.scenes import load_scene, scene_from_source
-
     labels = [run.label for run in runs]
     if file.baseline is not None and file.baseline not in labels:
         message = f"no technique has the label '{file.baseline}'." + nearest(file.baseline, labels)
         raise source.error(message, ("baseline",))
-    scene_source = _scene_source(source, base)
-    if isinstance(scene_source, Path):
-        scene = load_scene(scene_source)
-    else:
-        scene = scene_from_source(source, ("scene",), base=base)
-    if file.light >= len(scene.lights):
-        raise source.error(f"the scene has {len(scene.lights)} light(s); there is no light {file.light}.", ("light",))
+    scene_source, scene = open_scene(source, base, file.light)
     for run in runs:
         check_needs(plugins[run.name], scene, scene.lights[file.light], source=source, loc=run.loc)
+    frames = _frames(file, scene)
     return Experiment(
         name=name,
         scene=scene_source,
@@ -150,9 +170,10 @@ def _resolved(
         baseline=file.baseline or labels[0],
         repeats=file.repeats,
         seed=file.seed,
-        frames=_frames(file, scene),
+        frames=frames,
         light=file.light,
         loaded_scene=scene,
+        views=resolve_views(source, file, frames, labels),
     )
 
 
@@ -166,18 +187,21 @@ def _check_kind(source: Source) -> None:
 
 
 def _metrics(source: Source, file: WalkthroughFile) -> tuple[str, ...]:
-    from experiments.metrics import METRICS
+    from experiments.metrics import GROUPS, METRICS
 
     if file.metrics is None:
         return ("rmse", "mean_signed_error", "p99_error", "flip") if file.reference else ()
-    for i, name in enumerate(file.metrics):
-        if name not in METRICS:
-            raise source.error(f"there is no metric '{name}'." + nearest(name, METRICS), ("metrics", i))
-        if name in REFERENCE_METRICS and file.reference is None:
-            raise source.error(f"the metric '{name}' needs the key 'reference' in this file.", ("metrics", i))
-        if name in file.metrics[:i]:
-            raise source.error(f"the metric '{name}' is listed twice.", ("metrics", i))
-    return tuple(file.metrics)
+    out: list[str] = []
+    for i, entry in enumerate(file.metrics):
+        for name in GROUPS.get(entry, (entry,)):
+            if name not in METRICS:
+                raise source.error(f"there is no metric '{name}'." + nearest(name, (*METRICS, *GROUPS)), ("metrics", i))
+            if name in REFERENCE_METRICS and file.reference is None:
+                raise source.error(f"the metric '{name}' needs the key 'reference' in this file.", ("metrics", i))
+            if name in out:
+                raise source.error(f"the metric '{name}' is listed twice.", ("metrics", i))
+            out.append(name)
+    return tuple(out)
 
 
 def _frames(file: WalkthroughFile, scene: Scene) -> tuple[int, ...]:

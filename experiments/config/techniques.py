@@ -1,16 +1,17 @@
 """The ``techniques`` list of an experiment: names, parameters, labels and sweeps.
 
-An entry is a name, or ``name: {parameter: value, ...}``. Three keys are not parameters: ``label`` names the run,
-``projection`` changes single keys of the experiment's projection, and ``sweep`` lists values per parameter, whose
-product gives one run each, labelled ``pcf[taps=4]``.
+An entry is a name, or ``name: {parameter: value, ...}``. Four keys are not parameters: ``label`` names the run,
+``projection`` changes single keys of the experiment's projection, ``sweep`` lists values per parameter, whose product
+gives one run each, labelled ``pcf[taps=4]``, and ``published`` gives figures of the source to print beside ours.
 """
 
 from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from pydantic import BaseModel
@@ -18,9 +19,10 @@ from pydantic_core import to_jsonable_python
 
 from experiments.config.messages import Loc, shown
 from experiments.config.source import Source, StrictModel, validate
+from experiments.published import QUANTITIES
 from wkernels.errors import InputError, nearest
 
-_OPTIONS = ("label", "projection", "sweep")
+_OPTIONS = ("label", "projection", "sweep", "published")
 _MAX_RUNS = 1000
 
 
@@ -34,6 +36,7 @@ class TechniqueRun:
         params: Every parameter of the technique's ``Params``.
         projection: The projection as a mapping with the keys of the experiment file; None leaves it to the technique.
         loc: Key path of the entry in the experiment file.
+        published: What the source printed, by column of summary.csv.
     """
 
     label: str
@@ -41,12 +44,15 @@ class TechniqueRun:
     params: dict[str, Any]
     projection: dict[str, Any] | None = None
     loc: Loc = ()
+    published: dict[str, float] = field(default_factory=dict)
 
     def entry(self) -> dict[str, Any]:
         """The entry of an experiment file that gives this run."""
         options: dict[str, Any] = {"label": self.label}
         if self.projection is not None:
             options["projection"] = self.projection
+        if self.published:
+            options["published"] = self.published
         return {self.name: {**options, **to_jsonable_python(self.params)}}
 
 
@@ -108,6 +114,9 @@ def _expand_entry(
     fixed = {key: value for key, value in options.items() if key not in _OPTIONS}
     sweep = _sweep(source, (*inner, "sweep"), options.get("sweep"), name, fixed, params_model)
     projection = _projection(source, (*inner, "projection"), options.get("projection"), default, projection_model)
+    published = check_published(source, (*inner, "published"), options.get("published"), QUANTITIES)
+    if published and sweep:
+        raise source.error("one published figure cannot stand for a whole sweep; list the runs.", (*inner, "published"))
     label = _label(source, (*inner, "label"), options.get("label", name))
     for choice in itertools.product(*([(key, i) for i in range(len(values))] for key, values in sweep.items())):
         point = {key: sweep[key][i] for key, i in choice}
@@ -115,7 +124,7 @@ def _expand_entry(
         params = validate(params_model, source, inner, {**fixed, **point}, foreign=True, moved=moved)
         suffix = " ".join(f"{key}={_text(value)}" for key, value in point.items())
         full_label = _label(source, (*inner, "sweep"), f"{label}[{suffix}]") if suffix else label
-        yield TechniqueRun(full_label, name, params.model_dump(), projection, loc)
+        yield TechniqueRun(full_label, name, params.model_dump(), projection, loc, published)
 
 
 def _sweep(
@@ -157,6 +166,24 @@ def check_projection(source: Source, loc: Loc, settings: dict[str, Any]) -> None
         compose(settings)
     except InputError as error:
         raise source.error(error.message, (*loc, *(error.key or "").split(".")[1:])) from None
+
+
+def check_published(source: Source, loc: Loc, figures: Any, known: Sequence[str]) -> dict[str, float]:
+    """The key ``published``: finite numbers by name.
+
+    Raises:
+        InputError: It is no mapping, or has an unknown name or no number.
+    """
+    if figures is None:
+        return {}
+    if not isinstance(figures, dict) or not figures:
+        raise source.error(f"must map quantities to numbers, not {shown(figures)}.", loc)
+    for name, value in figures.items():
+        if name not in known:
+            raise source.error(f"there is no quantity '{name}'." + nearest(name, known), (*loc, name))
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise source.error(f"must be a finite number, not {shown(value)}.", (*loc, name))
+    return {name: float(value) for name, value in figures.items()}
 
 
 def _label(source: Source, loc: Loc, label: Any) -> str:

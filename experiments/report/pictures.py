@@ -54,6 +54,47 @@ def picture_frames(store: Store, labels: Sequence[str], wanted: Sequence[int]) -
     return out
 
 
+@dataclass(frozen=True)
+class ViewFigure:
+    """One of the pictures that the key ``views`` asks for, as a data URL, with what it shows."""
+
+    title: str
+    caption: str
+    url: str
+
+
+@dataclass(frozen=True)
+class ViewGroup:
+    """One label's pictures of one frame; ``more`` are the frames whose pictures are only in the folder."""
+
+    label: str
+    frame: int
+    figures: list[ViewFigure]
+    more: list[int]
+
+
+def view_groups(store: Store, labels: Sequence[str]) -> list[ViewGroup]:
+    """Each label's pictures of the first frame that has any, in the order of ``KINDS``."""
+    from experiments.views.kinds import KINDS, kind_of
+
+    out = []
+    order = list(KINDS)
+    with tempfile.TemporaryDirectory(prefix="wkernels-report-") as folder:
+        scratch = Path(folder) / "picture.jpg"
+        for label in labels:
+            found = [(kind_of(name), name, frame) for name, frame in store.pictures(label)]
+            known = [(order.index(kind), kind, name, frame) for kind, name, frame in found if kind]
+            frames = sorted({frame for *_, frame in known})
+            figures = []
+            for _, kind, name, frame in sorted(known):
+                url = _data_url(store.picture(label, name, frame), scratch, 1400) if frame == frames[0] else None
+                if url:
+                    figures.append(ViewFigure(name.replace("_", " "), KINDS[kind].caption, url))
+            if figures:
+                out.append(ViewGroup(label, frames[0], figures, frames[1:]))
+    return out
+
+
 def error_scale_css() -> tuple[str, list[tuple[float, str]]]:
     """The error scale as a CSS gradient, and its ticks as (position in percent, text)."""
     stops = []
@@ -67,10 +108,10 @@ def error_scale_css() -> tuple[str, list[tuple[float, str]]]:
     return f"linear-gradient(to right, {', '.join(stops)})", places
 
 
-def _data_url(path: Path, scratch: Path) -> str | None:
+def _data_url(path: Path, scratch: Path, max_width: int = MAX_WIDTH) -> str | None:
     if not path.is_file():
         return None
     rgb = read_png(path)
-    step = -(-rgb.shape[1] // MAX_WIDTH)
+    step = -(-rgb.shape[1] // max_width)
     write_jpeg(scratch, rgb[::step, ::step])
     return "data:image/jpeg;base64," + base64.b64encode(scratch.read_bytes()).decode("ascii")

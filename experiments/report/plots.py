@@ -105,7 +105,7 @@ def _draw_front(axes: Axes, x: np.ndarray, y: np.ndarray) -> list[tuple[float, f
 
 
 def per_frame(frames: pd.DataFrame, look: Look, column: str, title: str, *, log: bool, sparse: bool = False) -> Figure:
-    """One column of frames.csv over the frame number, a line per label.
+    """One column of frames.csv over the frame number, a line per label; below them what each frame uncovered.
 
     Args:
         frames: As ``experiments.summary.load_frames`` gives it.
@@ -139,7 +139,28 @@ def per_frame(frames: pd.DataFrame, look: Look, column: str, title: str, *, log:
         if log:
             log_axis(axes, "y", [known[column]])
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=9)
+        _disocclusion_below(figure, axes, frames)
         return figure
+
+
+def _disocclusion_below(figure: Figure, axes: Axes, frames: pd.DataFrame) -> None:
+    """A panel under the curves: the percentage of receiver pixels that the frame before did not see, if any."""
+    share = (
+        frames.groupby("frame")["disoccluded"].mean().dropna() if "disoccluded" in frames else pd.Series(dtype=float)
+    )
+    if not len(share) or not share.max() > 0.0:
+        return
+    width, height = figure.get_size_inches()
+    figure.set_size_inches(width, height + 1.3)
+    grid = figure.add_gridspec(2, 1, height_ratios=(3.2, 1.0), hspace=0.08)
+    axes.set_subplotspec(grid[0])
+    below = figure.add_subplot(grid[1], sharex=axes)
+    below.fill_between(share.index, 100.0 * share, step="mid", color="#8a93a6", alpha=0.6, lw=0)
+    below.set_ylim(0.0, 105.0 * float(share.max()))
+    below.set_ylabel("disoccluded\n[%]")
+    below.set_xlabel(axes.get_xlabel())
+    axes.set_xlabel("")
+    axes.tick_params(labelbottom=False)
 
 
 def frame_times(frames: pd.DataFrame, look: Look) -> Figure:

@@ -14,8 +14,11 @@ from matplotlib.figure import Figure
 from experiments import summary
 from experiments.images import ERROR_SCALE
 from experiments.metrics import METRICS
+from experiments.prediction import Correlation, write_prediction
+from experiments.published import read_published
 from experiments.report import plots, style
-from experiments.report.pictures import error_scale_css, picture_frames
+from experiments.report.pictures import error_scale_css, picture_frames, view_groups
+from experiments.report.prediction import scatter
 from experiments.store import Store
 from experiments.tables import write_text
 from wkernels.errors import InputError
@@ -42,17 +45,20 @@ def write_report(out: str | Path) -> Path:
     try:
         table = summary.write_summary(store.out)
         passes = summary.load_passes(store)
-        figures = _draw(frames, passes, table)
+        prediction = write_prediction(store.out, frames)
+        figures = _draw(frames, passes, table, prediction)
         for name, (figure, suffixes) in figures.items():
             style.save(figure, store.out / "plots" / name, suffixes)
         svgs = {name: Markup(plots.inline_svg(figure)) for name, (figure, _) in figures.items()}
-        write_text(store.out / "report.html", _page(store, frames, passes, table, svgs))
+        write_text(store.out / "report.html", _page(store, frames, passes, table, prediction, svgs))
     except OSError as error:
         raise InputError(f"the report cannot be written ({error.strerror or error}).", file=store.out) from error
     return store.out / "report.html"
 
 
-def _draw(frames: pd.DataFrame, passes: pd.DataFrame, table: pd.DataFrame) -> dict[str, tuple[Figure, tuple[str, ...]]]:
+def _draw(
+    frames: pd.DataFrame, passes: pd.DataFrame, table: pd.DataFrame, prediction: list[Correlation]
+) -> dict[str, tuple[Figure, tuple[str, ...]]]:
     labels = list(table["label"])
     look = style.Look(labels)
     out: dict[str, tuple[Figure, tuple[str, ...]]] = {
@@ -64,16 +70,26 @@ def _draw(frames: pd.DataFrame, passes: pd.DataFrame, table: pd.DataFrame) -> di
         ),
         "frame_ms": (plots.frame_times(frames, look), _SCREEN),
     }
+    if frames["frame"].nunique() > 1:
+        title = "milliseconds per frame"
+        out["frame_ms_per_frame"] = (plots.per_frame(frames, look, "frame_ms", title, log=True), _SCREEN)
     if not passes.empty:
         out["passes"] = (plots.pass_times(passes, labels), _SCREEN)
     if frames["m_x_max"].notna().any() and frames["frame"].nunique() > 1:
         title = "largest aliasing error m_x along the view"
         out["aliasing_per_frame"] = (plots.per_frame(frames, look, "m_x_max", title, log=True), _SCREEN)
+    if prediction:
+        out["prediction"] = (scatter(frames, prediction, look), _PAPER)
     return out
 
 
 def _page(
-    store: Store, frames: pd.DataFrame, passes: pd.DataFrame, table: pd.DataFrame, svgs: dict[str, Markup]
+    store: Store,
+    frames: pd.DataFrame,
+    passes: pd.DataFrame,
+    table: pd.DataFrame,
+    prediction: list[Correlation],
+    svgs: dict[str, Markup],
 ) -> str:
     environment = store.environment()
     run = environment["run"]
@@ -90,7 +106,7 @@ def _page(
         loader=PackageLoader("experiments.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     page.filters["number"] = number
-    page.filters["plain"] = _plain
+    page.filters["plain"] = plain
     return page.get_template("report.html").render(
         run=run,
         environment=environment["environment"],
@@ -101,11 +117,15 @@ def _page(
         headline=headline(table, run["baseline"]),
         summary=table.to_dict("records"),
         metrics=shown_metrics,
+        published=read_published(store.out),
+        flicker_floor=_flicker_floor(table, run["labels"]),
+        prediction=_prediction_rows(prediction),
         reference_error=float(table["reference_standard_error"].median()),
         papers={entry["label"]: ", ".join(entry["paper"]) for entry in run["labels"]},
         svgs=svgs,
         pictures=picture_frames(store, labels, all_pictures),
         picture_frames=all_pictures,
+        views=view_groups(store, labels),
         error_scale=ERROR_SCALE,
         error_gradient=Markup(gradient),  # made of numbers only
         error_ticks=ticks,
@@ -114,6 +134,21 @@ def _page(
         failures=store.rows("failures"),
         config=(store.out / "config.yaml").read_text(encoding="utf-8"),
     )
+
+
+def _flicker_floor(table: pd.DataFrame, labels: list[dict[str, Any]]) -> tuple[str, float] | None:
+    """Label and flicker of a technique that casts rays at every frame's own receivers, and so has no flicker itself."""
+    rays = {entry["label"] for entry in labels if entry["family"] == "reference"}
+    own = table[table["label"].isin(rays) & table["flicker"].notna()]
+    return None if own.empty else (str(own["label"].iloc[0]), float(own["flicker"].iloc[0]))
+
+
+def _prediction_rows(prediction: list[Correlation]) -> tuple[list[str], list[tuple[str, list[Any]]]]:
+    """Predictors and, per label, (points, correlation) of each, None where it has none."""
+    predictors = list(dict.fromkeys(row.predictor for row in prediction))
+    by = {(row.label, row.predictor): (row.n, row.spearman) for row in prediction}
+    labels = dict.fromkeys(row.label for row in prediction)
+    return predictors, [(label, [by.get((label, name)) for name in predictors]) for label in labels]
 
 
 def headline(table: pd.DataFrame, baseline: str) -> list[str]:
@@ -149,11 +184,12 @@ def number(value: Any, digits: int = 3) -> str:
     return f"{value:.{digits - 1}e}"
 
 
-def _plain(value: Any) -> str:
+def plain(value: Any) -> str:
+    """A value of environment.json for people."""
     if isinstance(value, dict):
-        return ", ".join(f"{key} {_plain(item)}" for key, item in value.items())
+        return ", ".join(f"{key} {plain(item)}" for key, item in value.items())
     if isinstance(value, list | tuple):
-        return ", ".join(_plain(item) for item in value)
+        return ", ".join(plain(item) for item in value)
     return "" if value is None else str(value)
 
 

@@ -26,7 +26,7 @@ from wkernels.filtering import (
 )
 from wkernels.launch import launch
 from wkernels.light_extent import light_half_axes
-from wkernels.light_map import Bias, LightMap, Receiver, locate, locate_receiver
+from wkernels.light_map import Bias, LightMap, Receiver, depths_on_host, locate, locate_receiver
 from wkernels.lights import (
     DirectionalLight,
     DiscLight,
@@ -74,7 +74,8 @@ def flat_map(depth: np.ndarray, device: str) -> LightMap:
     out = LightMap()
     layers = np.asarray(depth, np.float32).reshape(-1, size, size)
     matrix = np.array([[2.0 / size, 0, 0, -1], [0, 2.0 / size, 0, 1], [0, 0, 1, 0], [0, 0, 0, 1]], np.float32)
-    out.depth = wp.array(layers, dtype=float, device=device)
+    out.depth, out.pitch = wp.array(layers.ravel(), dtype=float, device=device), size
+    out.layer_begin = wp.array(np.arange(len(layers), dtype=np.int32) * size * size, dtype=int, device=device)
     out.ws_to_ls = wp.array(np.tile(matrix, (len(layers), 1, 1)), dtype=wp.mat44, device=device)
     out.right_ws = wp.array(np.tile(np.float32([1, 0, 0]), (len(layers), 1)), dtype=wp.vec3, device=device)
     out.up_ws = wp.array(np.tile(np.float32([0, 1, 0]), (len(layers), 1)), dtype=wp.vec3, device=device)
@@ -332,7 +333,7 @@ def test_the_footprint_is_the_light_laid_over_the_map(lamp: str, device: str) ->
     light_map = frame.light_map(512)
     footprint = pull_footprint(frame, light_map)
     assert pull_footprint(frame, light_map) is footprint
-    depth = light_map.depth.numpy()
+    depth = depths_on_host(light_map)
     np.testing.assert_array_equal(footprint.nearest_depth.numpy(), depth.reshape(light_map.layers, -1).min(axis=1))
     assert light_map.layers == (6 if lamp == "six faces" else 1)
     assert footprint.is_point == (0.0 if lamp == "sun" else 1.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import small_scenes as small
 import warp as wp
 
+from algorithms.composition import compose
 from algorithms.plugins import find
 from algorithms.technique import MapParams
 from experiments.scenes.loader import load_scene
@@ -44,7 +46,13 @@ def session(scene: Scene, width: int = 100, height: int = 60, **options: Any) ->
 
 
 def twins(
-    scene: Scene, name: str, monkeypatch: pytest.MonkeyPatch, width: int = 100, height: int = 60, **params: Any
+    scene: Scene,
+    name: str,
+    monkeypatch: pytest.MonkeyPatch,
+    width: int = 100,
+    height: int = 60,
+    projection: dict[str, Any] | None = None,
+    **params: Any,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The technique's image by its plain kernel and by its lane kernel."""
     plugin = find(name)
@@ -52,7 +60,7 @@ def twins(
     launched: list[str] = []
     images = []
     for lanes in (False, True):
-        running = session(scene, width, height)
+        running = session(scene, width, height, projection=compose(projection) if projection else None)
         monkeypatch.setattr(module, "uses_lanes", lambda device, lanes=lanes: lanes)
         real = running.launch
         monkeypatch.setattr(
@@ -127,10 +135,41 @@ def locate_lanes(first: int, views: LaneViews, light_map: LightMap, bias: Bias, 
     out[13, y, x0] = float(wp.where(found > run.count, 1, 0))  # an early out would lose receivers
 
 
+SPLIT = {
+    "depth": {"fit": "focused", "splits": 4, "scheme": "log"},
+    "best, atlas": {"fit": "focused", "splits": 4, "scheme": "log", "selection": "best", "storage": "atlas9"},
+    "warped": {"fit": "focused", "splits": 4, "scheme": "log", "warp": "lispsm_nopt"},
+    "warped, best": {"fit": "focused", "splits": 8, "warp": "lispsm_nrepar", "selection": "best"},
+}
+
+
 @pytest.mark.parametrize("bias", BIASES)
 @pytest.mark.parametrize("lamp", LIGHTS)
 def test_receivers_of_a_run_are_those_of_its_pixels(lamp: str, bias: str) -> None:
-    running = session(small.cluttered(LIGHTS[lamp]))
+    receivers_agree(session(small.cluttered(LIGHTS[lamp])), bias, 3 if lamp == "six faces" else 1)
+
+
+@pytest.mark.parametrize("bias", ["slope", "normal"])
+@pytest.mark.parametrize("lamp", ["perspective", "orthographic"])
+@pytest.mark.parametrize("split", SPLIT)
+def test_receivers_of_a_run_read_the_splits_that_its_pixels_do(split: str, lamp: str, bias: str) -> None:
+    receivers_agree(session(small.cluttered(LIGHTS[lamp]), projection=compose(SPLIT[split])), bias, 2)
+
+
+def test_receivers_that_no_split_holds_with_room_read_the_last_that_holds_them() -> None:
+    """Views whose splits end before what they hold does: the reserve, or nothing."""
+    views = compose(SPLIT["depth"])
+
+    def ended(*arguments: Any) -> list[Any]:
+        made = views(*arguments)
+        assert len(made) > 2
+        return [replace(view, choice=replace(view.choice, far=0.6 * view.choice.far)) for view in made[:-1]]  # type: ignore[attr-defined]
+
+    receivers_agree(session(small.cluttered(LIGHTS["orthographic"]), projection=ended), "slope", 2)
+
+
+def receivers_agree(running: Session, bias: str, layers: int) -> None:
+    """``locate_run`` against ``locate_receiver`` of each pixel, on at least so many layers."""
     gbuffer = running.gbuffer()
     params = MapParams(resolution=256, bias=bias)
     light_map = running.light_map(256, cull=params.cull)
@@ -142,7 +181,7 @@ def test_receivers_of_a_run_are_those_of_its_pixels(lamp: str, bias: str) -> Non
     expected, found = plain.numpy(), lanes.numpy()
     here = expected[1] >= 0
     assert here.sum() > 500 and (expected[0] == 0.0).sum() > 20
-    assert len(np.unique(expected[1][here])) > (2 if lamp == "six faces" else 0)
+    assert len(np.unique(expected[1][here])) >= layers
     np.testing.assert_array_equal(found[:2], expected[:2])
     assert not found[13].any()
     # relative to each field's own size: rows of a plane seen at a grazing angle lose digits to cancellation
@@ -178,6 +217,17 @@ def test_lanes_and_plain_kernel_make_the_same_image(
     darkest = 0.05 if name == "vsm" else 0.0  # an upper bound is hardly ever 0
     assert (plain == 1.0).sum() > 200 and (plain <= darkest).sum() > 100
     assert_same(plain, lanes)
+
+
+@pytest.mark.parametrize("lamp", ["perspective", "orthographic"])
+@pytest.mark.parametrize("split", SPLIT)
+@pytest.mark.parametrize("name", ["pcf", "pcss", "shadow_map", "vsm", "multi_shadow_map"])
+def test_lanes_and_plain_kernel_make_the_same_image_of_splits(
+    name: str, split: str, lamp: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    params = {"samples": 3} if name == "multi_shadow_map" else {}
+    scene = small.cluttered(LIGHTS[lamp])
+    assert_same(*twins(scene, name, monkeypatch, projection=SPLIT[split], resolution=128, **params))
 
 
 @pytest.mark.parametrize("bias", BIASES)

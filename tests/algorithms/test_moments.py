@@ -9,6 +9,7 @@ import warp as wp
 from filtering_sessions import render
 
 from wkernels.launch import launch
+from wkernels.light_map import LightMap
 from wkernels.moments import Chebyshev, depth_range, find_moments, lit_share, sample_bilinear
 
 
@@ -76,7 +77,7 @@ def test_moments_agree_with_numpy(slope: bool, device: str) -> None:
     depth[:, 3:6, 4] = np.inf
     out = wp.zeros((17, 17), dtype=wp.vec2, device=device)
     layers = wp.array(depth, dtype=float, device=device)
-    launch(find_moments, (17, 17), [layers, chebyshev_of(near, far), int(slope), 1], [out], device=device)
+    launch(find_moments, (17, 17), [layers[1], chebyshev_of(near, far), int(slope)], [out], device=device)
     z = np.minimum((depth[1].astype(float) - near) / (far - near), 1.0) - 0.5
     square = z * z
     if slope:
@@ -97,10 +98,14 @@ def test_normalised_moments_keep_small_variances(device: str) -> None:
 
 @wp.kernel
 def run_bilinear(
-    first: int, image: wp.array3d(dtype=wp.vec2), at: wp.array(dtype=wp.vec2), value_out: wp.array(dtype=wp.vec2)
+    first: int,
+    image: wp.array(dtype=wp.vec2),
+    light_map: LightMap,
+    at: wp.array(dtype=wp.vec2),
+    value_out: wp.array(dtype=wp.vec2),
 ):
     i = first + wp.tid()
-    value_out[i] = sample_bilinear(image, 1, at[i][0], at[i][1])
+    value_out[i] = sample_bilinear(image, light_map, 1, at[i][0], at[i][1])
 
 
 def test_bilinear_lookup_agrees_with_numpy(device: str) -> None:
@@ -108,7 +113,11 @@ def test_bilinear_lookup_agrees_with_numpy(device: str) -> None:
     image = rng.random((2, 9, 9, 2)).astype(np.float32)
     at = rng.uniform(0.0, 9.0, (200, 2)).astype(np.float32)
     out = wp.zeros(200, dtype=wp.vec2, device=device)
-    inputs = [wp.array(image, dtype=wp.vec2, device=device), wp.array(at, dtype=wp.vec2, device=device)]
+    light_map = LightMap()
+    light_map.resolution, light_map.pitch = 9, 9
+    light_map.layer_begin = wp.array([0, 81], dtype=int, device=device)
+    flat = wp.array(image.reshape(-1, 2), dtype=wp.vec2, device=device)
+    inputs = [flat, light_map, wp.array(at, dtype=wp.vec2, device=device)]
     launch(run_bilinear, 200, inputs, [out], device=device)
     corner = np.floor(at - 0.5).astype(int)
     f = at - 0.5 - corner

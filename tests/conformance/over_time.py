@@ -6,7 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import small_scenes
-from rig import check, has_history, has_no_history, kinds_of, lamp, open_session, run_frames, small_params, truth
+from rig import (
+    check,
+    has_history,
+    has_no_history,
+    is_hard,
+    kinds_of,
+    lamp,
+    open_session,
+    run_frames,
+    small_params,
+    truth,
+)
 
 from algorithms.technique import Technique
 from wkernels.scene import Camera, Scene
@@ -49,7 +60,8 @@ def a_still_view_converges(technique: type[Technique], device: str) -> None:
     kind = kinds_of(technique)[0]
     expected = truth(technique, small_scenes.box_on_ground, device, kind)
     session = open_session(small_scenes.box_on_ground(small_scenes.light(kind)), device)
-    made = technique(small_params(technique, resolution=512))
+    # with texels much smaller than pixels a hard shadow has nothing to converge to but the pixel that lies on its edge
+    made = technique(small_params(technique, resolution=64 if is_hard(technique) else 512))
     rmse: dict[int, float] = {}
     previous = np.zeros(0)
     for frame in range(128):

@@ -230,4 +230,4 @@ def truth(
 
 def is_hard(technique: type[Technique]) -> bool:
     """Whether the technique reduces lights to their centre."""
-    return technique.family == "hard" or technique.name == "ray_cast_point_shadow"
+    return technique.family == "hard" or technique.hard

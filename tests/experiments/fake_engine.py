@@ -14,6 +14,7 @@ from experiments.config.schema import Experiment, Image, Reference
 from experiments.config.techniques import TechniqueRun
 from wkernels.frame import FrameResult
 from wkernels.lights import RectangleLight
+from wkernels.sampling_rate import MapUse, SamplingRate
 from wkernels.scene import Camera, Mesh, Scene
 from wkernels.views import eye_view
 
@@ -139,9 +140,19 @@ class FakeEngine:
     def ws_to_ss(self, frame: int) -> np.ndarray:
         return eye_view(camera(frame), WIDTH, HEIGHT, np.zeros(3)).ws_to_ss
 
+    def map_use(self, session: FakeSession) -> MapUse | None:
+        """Of a map whose texels are as many pixels wide as the frame's number, and one more; remembering reads none."""
+        if session.label == "memory":
+            return None
+        image = np.full((HEIGHT, WIDTH), session.frame + 1.0, np.float32)
+        number = np.zeros((HEIGHT, WIDTH), np.int32)
+        return MapUse(SamplingRate(image, image, image, image, image, image, number, number), 0.25, 0.5)
 
-def make_run(label: str, name: str = "flat", **params: Any) -> TechniqueRun:
-    return TechniqueRun(label, name, PLUGINS[name].Params(**params).model_dump())
+
+def make_run(
+    label: str, name: str = "flat", *, published: dict[str, float] | None = None, **params: Any
+) -> TechniqueRun:
+    return TechniqueRun(label, name, PLUGINS[name].Params(**params).model_dump(), published=published or {})
 
 
 def make_experiment(

@@ -10,7 +10,8 @@ import pytest
 
 from algorithms.technique import Needs, Params, setting
 from experiments.config.needs import is_closed, is_planar, unmet_need
-from experiments.config.schema import Experiment, load_experiment
+from experiments.config.schema import Experiment, Reference, load_experiment
+from experiments.metrics import MAP_METRICS
 from experiments.scenes import load_scene
 from wkernels.errors import InputError
 from wkernels.scene import Mesh
@@ -97,6 +98,12 @@ def test_reference_brings_its_metrics(load: Load) -> None:
     assert experiment.metrics == ("rmse", "mean_signed_error", "p99_error", "flip")
 
 
+def test_a_group_of_metrics_stands_for_its_members(load: Load) -> None:
+    experiment = load(HEAD + "- sharp\nreference: {light: centre}\nmetrics: [rmse, sampling]\n")
+    assert experiment.metrics == ("rmse", *MAP_METRICS)
+    assert experiment.reference == Reference(samples=1, every=1, light="centre")
+
+
 @pytest.mark.parametrize(
     ("text", "frames"), [("3", (0, 1, 2)), ("{start: 2, stop: 7, step: 2}", (2, 4, 6)), ("{stop: 1}", (0,))]
 )
@@ -171,6 +178,10 @@ def test_the_resolved_file_gives_the_same_experiment(load: Load) -> None:
         ("- sharp\nbaseline: shrap\n", "e.yaml:6: baseline: no technique has the label 'shrap'. Did you mean 'sharp'?"),
         ("- sharp\nmetrics: [rmse]\n", "e.yaml:6: metrics.0: the metric 'rmse' needs the key 'reference'"),
         ("- sharp\nmetrics: [flip, rsme]\nreference: {samples: 4}\n", "e.yaml:6: metrics.1: there is no metric 'rsme'. Did you mean 'rmse'?"),
+        ("- sharp\nmetrics: [samplin]\n", "e.yaml:6: metrics.0: there is no metric 'samplin'. Did you mean 'sampling'?"),
+        ("- sharp\nmetrics: [map_waste, sampling]\n", "e.yaml:6: metrics.1: the metric 'map_waste' is listed twice."),
+        ("- sharp\nreference: {samples: 4, light: centre}\n", "e.yaml:6: reference: asks for 4 samples of the light's centre, which is one."),
+        ("- sharp\nreference: {light: center}\n", "e.yaml:6: reference.light: 'center' is not a valid name. Did you mean 'centre'?"),
         ("- sharp\nreference: {samples: 0}\n", "e.yaml:6: reference.samples: must be at least 1, not 0."),
         ("- sharp\nprojection: {splits: 17}\n", "e.yaml:6: projection.splits: must be at most 16, not 17."),
         ("- sharp\nprojection: {warp: lispm_nopt}\n", "e.yaml:6: projection.warp: 'lispm_nopt' is not a valid name. Did you mean 'lispsm_nopt'?"),
@@ -194,7 +205,7 @@ def test_a_mistake_is_named_with_file_line_and_key(load: Load, text: str, expect
         (
             "walkthrough",
             "sweep",
-            "e.yaml:1: kind: kind 'sweep' is not available yet; available: walkthrough, analysis.",
+            "e.yaml:1: kind: kind 'sweep' is not available yet; available: walkthrough, convergence, stability, analysis.",
         ),
         (
             "walkthrough",

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from fake_engine import HEIGHT, WIDTH, camera, floor_positions, true_visibility
 
-from experiments.carry_over import carry_over
+from experiments.carry_over import carry_over, disoccluded
 from experiments.metrics import METRICS, Measured, distinguishable, evaluate, flip_map
+from wkernels.sampling_rate import MapUse, SamplingRate
 from wkernels.views import eye_view
 
 EVERY = frozenset(METRICS)
@@ -128,6 +129,78 @@ def test_points_that_were_hidden_have_no_previous_value() -> None:
     carried = carry_over(visibility, wall, ws_to_ss(0), floor_positions(0))
     assert np.isnan(carried[:, : half - 1]).all()
     assert np.isfinite(carried[2:-1, half + 1 : -1]).all()
+
+
+def test_a_still_camera_uncovers_nothing() -> None:
+    assert not disoccluded(floor_positions(0), ws_to_ss(0), floor_positions(0)).any()
+
+
+def test_what_stood_behind_a_wall_is_disoccluded_and_nothing_else() -> None:
+    position = floor_positions(0)
+    wall, half, eye = position.copy(), WIDTH // 2, camera(0).eye
+    wall[:, :half] = eye + 0.4 * (position[:, :half] - eye)
+    unseen, floor = disoccluded(wall, ws_to_ss(0), position), np.isfinite(position[..., 0])
+    assert not unseen[~floor].any()
+    assert unseen[:, : half - 1][floor[:, : half - 1]].all()
+    assert not unseen[:, half + 1 :].any()
+
+
+def test_silhouettes_between_pixels_are_not_disoccluded() -> None:
+    """Half a pixel to the side, the four pixels around an edge lie on two surfaces; both were seen."""
+    position = floor_positions(0)
+    step = 0.5 * (position[:, 2:] - position[:, 1:-1])
+    assert not disoccluded(position, ws_to_ss(0), (position[:, 1:-1] + step)[8:-1]).any()
+    wall, eye = position.copy(), camera(0).eye
+    wall[:, : WIDTH // 2] = eye + 0.4 * (position[:, : WIDTH // 2] - eye)
+    between = (eye + 0.4 * (position[:, 1:-1] + step - eye))[8:-1, : WIDTH // 2 - 1]
+    assert not disoccluded(wall, ws_to_ss(0), between).any()
+
+
+def test_what_comes_into_the_picture_is_disoccluded() -> None:
+    unseen = disoccluded(floor_positions(0), ws_to_ss(0), floor_positions(60))  # 1.2 to the right
+    ss = floor_positions(60).reshape(-1, 3).astype(float) @ ws_to_ss(0)[:, :3].T + ws_to_ss(0)[:, 3]
+    outside = (np.abs(ss[:, 0]) > ss[:, 3]).reshape(HEIGHT, WIDTH)
+    known = np.isfinite(floor_positions(60)[..., 0]) & (np.arange(HEIGHT)[:, None] > 8)
+    assert 0.05 < outside[known].mean() < 0.9
+    assert (unseen == outside)[known].mean() > 0.98  # half a pixel at the border may count as seen
+
+
+def use_of(m: np.ndarray, read: np.ndarray) -> MapUse:
+    texel = np.where(read, 0, -1).astype(np.int32)
+    return MapUse(SamplingRate(m, m, m, m, m, m, np.zeros(m.shape, np.int32), texel), 0.5, 0.75)
+
+
+def test_metrics_of_the_map_are_over_receivers_that_look_into_it() -> None:
+    rng = np.random.default_rng(11)
+    visibility = np.ones((12, 10), np.float32)
+    visibility[:3] = np.nan
+    m = rng.uniform(0.2, 4.0, (12, 10)).astype(np.float32)
+    read = rng.random((12, 10)) < 0.7
+    m[0, 0], m[~read] = np.inf, np.nan
+    own = m[3:][read[3:]].astype(float)
+    got = evaluate(EVERY, Measured(visibility, map_use=use_of(m, read)))
+    assert got["m_pixel_median"] == pytest.approx(np.median(own))
+    assert got["m_pixel_p99"] == pytest.approx(np.percentile(own, 99.0))
+    assert got["undersampled"] == pytest.approx(sum(value > 1.0 for value in own) / len(own))
+    assert (got["map_waste"], got["map_unread"]) == (0.5, 0.75)
+    assert got["m_edge"] is None and got["rmse_predicted"] is None  # no reference
+    nowhere = evaluate(EVERY, Measured(visibility, map_use=use_of(m, np.zeros_like(read))))
+    assert nowhere["m_pixel_median"] is None and nowhere["undersampled"] is None
+
+
+def test_predicted_rmse_counts_the_edges_of_the_reference() -> None:
+    """A straight edge of one pixel's length per row, texels of 4 pixels: a quarter of a texel wrong, 1 of 20 pixels."""
+    reference = np.where(np.arange(20)[None] < 10, 0.0, 1.0).repeat(6, axis=0).astype(np.float32)
+    m = np.full((6, 20), 4.0, np.float32)
+    m[:, :5] = 1e9  # far from the edge
+    measured = Measured(reference, reference=reference, map_use=use_of(m, np.ones(m.shape, dtype=bool)))
+    got = evaluate(EVERY, measured)
+    assert got["m_edge"] == 4.0
+    assert got["rmse_predicted"] == pytest.approx(np.sqrt(1.0 / 20.0))
+    m[:] = 1e9  # grazed by the light: no texel counts for more than ``MOST_PIXELS``
+    assert evaluate(EVERY, measured)["m_edge"] == 50.0
+    lit = np.ones_like(reference)
+    assert evaluate(EVERY, Measured(lit, reference=lit, map_use=measured.map_use))["m_edge"] is None
 
 
 def test_descriptors_are_complete() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments import reference, reference_visibility
+from experiments import reference, reference_visibility, render_visibility
 from experiments.reference import Reference, ReferenceRenderer, cache_folder, reference_for
 from wkernels.errors import InputError
 from wkernels.geometry import Geometry
@@ -64,6 +64,20 @@ def test_values() -> None:
     v = made.visibility[seen].astype(np.float64)
     assert v.min() == 0.0 and v.max() == 1.0 and ((v > 0.0) & (v < 1.0)).any()
     np.testing.assert_allclose(made.standard_error[seen], np.sqrt(v * (1.0 - v) / 63.0), rtol=1e-5, atol=1e-7)
+
+
+def test_the_centre_of_a_light_is_one_ray(cache: Path) -> None:
+    """What ``ray_cast_point_shadow`` renders: hard, exact, and cached apart from the whole light's."""
+    whole, centre = render(scene()), render(scene(), centre=True)
+    assert not centre.from_cache and render(scene(), centre=True).from_cache and render(scene()).from_cache
+    seen = np.isfinite(centre.visibility)
+    assert set(np.unique(centre.visibility[seen])) == {0.0, 1.0} and (centre.standard_error[seen] == 0.0).all()
+    assert not same(whole, centre)
+    of = scene()
+    hard = render_visibility(of, technique="ray_cast_point_shadow", **SIZE)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(centre.visibility, hard.visibility)
+    point = replace(of, lights=(PointLight(position=np.array([0.0, 6.0, 0.0])),))
+    assert same(render(point), render(point, centre=True))
 
 
 def test_second_time_comes_from_the_cache(cache: Path) -> None:
@@ -248,6 +262,35 @@ def test_more_samples_go_on_where_fewer_ended(counts: tuple[int, ...], monkeypat
     assert render(scene(), samples=counts[-1]).from_cache
 
 
+def test_an_interrupted_reference_goes_on_where_its_last_part_ended(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the bits of one that was not; its parts leave one file in the end."""
+    monkeypatch.setattr(reference, "PART", 16)
+    whole = render(scene(), samples=40, cache=False)
+    trace, traced = ReferenceRenderer._trace, []
+
+    def once(self: ReferenceRenderer, frame: int, samples: int, start: int = 0) -> Reference:
+        if len(traced) == 2:
+            raise KeyboardInterrupt
+        traced.append((samples, start))
+        return trace(self, frame, samples, start)
+
+    monkeypatch.setattr(ReferenceRenderer, "_trace", once)
+    with pytest.raises(KeyboardInterrupt):
+        render(scene(), samples=40)
+    assert traced == [(16, 0), (16, 16)]
+    monkeypatch.setattr(
+        ReferenceRenderer, "_trace", lambda self, *args: (traced.append(args[1:]), trace(self, *args))[1]
+    )
+    assert same(render(scene(), samples=40), whole)
+    assert traced[2:] == [(8, 32)] and render(scene(), samples=40).from_cache
+    for file in cache.iterdir():
+        file.unlink()
+    assert same(render(scene(), samples=40), whole)
+    assert len(list(cache.iterdir())) == 1
+
+
 def test_weighted_samples_are_not_gone_on_with() -> None:
     """A textured light's sums are not whole numbers: another order of adding would give other bits."""
     textured = scene(texture=np.array([[0.0, 1.0], [3.0, 0.5]]))
@@ -261,7 +304,9 @@ def test_progressive_references_end_in_the_whole_one() -> None:
         steps = list(renderer.progressive(0, batch=32))
         assert [samples for samples, _ in steps] == [32, 64, 96, 100]
         whole, last = renderer.render(0), steps[-1][1]
-        np.testing.assert_allclose(last.visibility, whole.visibility, atol=0.02 if of.lights[0].texture is not None else 0)
+        np.testing.assert_allclose(
+            last.visibility, whole.visibility, atol=0.02 if of.lights[0].texture is not None else 0
+        )
         errors = [np.nanmean(made.standard_error) for _, made in steps]
         assert errors == sorted(errors, reverse=True)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 import shutil
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -20,6 +21,8 @@ from experiments.explain import explain
 from experiments.images import read_exr, write_exr
 from experiments.report import recompute_metrics, write_report
 from experiments.report.labels import place_labels
+from experiments.report.plots import per_frame
+from experiments.report.style import Look
 from experiments.report.write import headline, number
 from experiments.runner import TechniquesFailed, run
 from experiments.store import Store
@@ -208,12 +211,26 @@ def test_report_needs_only_the_folder_and_repeats_itself(copy: Path) -> None:
         "fps.png",
         "error_per_frame.png",
         "frame_ms.png",
+        "frame_ms_per_frame.png",
         "passes.png",
     } <= names
     shutil.rmtree(copy / "plots")
     (copy / "summary.csv").unlink()
     assert write_report(copy) == copy / "report.html"
     assert {path: path.read_bytes() for path in before} == before
+
+
+def test_disocclusion_is_drawn_under_the_curves_where_there_is_any() -> None:
+    frames = make_frames([("a", 0, 2.0, 0.1, 0.01), ("a", 1, 4.0, 0.1, 0.01), ("a", 2, 3.0, 0.1, 0.01)])
+    look = Look(["a"])
+    assert len(per_frame(frames, look, "frame_ms", "ms", log=True).axes) == 1
+    frames["disoccluded"] = [np.nan, 0.0, 0.0]
+    assert len(per_frame(frames, look, "frame_ms", "ms", log=True).axes) == 1
+    frames["disoccluded"] = [np.nan, 0.25, 0.0]
+    above, below = per_frame(frames, look, "frame_ms", "ms", log=True).axes
+    assert above.get_ylabel() == "ms" and "disoccluded" in below.get_ylabel()
+    assert below.get_xlabel() == "frame" and below.get_ylim()[1] == pytest.approx(26.25)
+    assert above.get_position().y0 > below.get_position().y1
 
 
 def test_report_of_an_interrupted_run_says_so(copy: Path) -> None:
@@ -301,3 +318,18 @@ def test_explain_names_what_runs_and_what_does_not() -> None:
     assert "no caster moves" in text and "flicker: not among" in text
     without = explain(make_experiment([make_run("a")], every=None), PLUGINS)
     assert "there is no reference" in without and "reference on" not in without
+
+
+def test_explain_tells_what_projections_fall_back_to() -> None:
+    from fake_engine import PLUGINS
+
+    split = {"fit": "focused", "splits": 16, "scheme": "uniform"}
+    runs = [
+        replace(make_run("wide"), projection={**split, "adjust": False}),
+        replace(make_run("fitted"), projection=split),
+    ]
+    text = explain(make_experiment(runs), PLUGINS)
+    told = "light view of a split on 5 of 5 frames looked at: nothing of what the eye sees lies in it"
+    assert f"wide: {told}" in text and f"fitted: {told}" not in text
+    assert "building depth maps that do not follow the eye" in text  # the fake camera moves
+    assert "building depth maps and ray structures" in explain(make_experiment([make_run("a")]), PLUGINS)

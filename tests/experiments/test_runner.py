@@ -84,6 +84,22 @@ def test_errors_are_empty_where_there_is_no_reference(tmp_path: Path) -> None:
     assert {row["rmse"] for row in exact} == {"0"}  # measured, and none
 
 
+def test_sampling_is_measured_only_where_it_is_asked_for_and_a_map_is_read(tmp_path: Path) -> None:
+    rows = finished(tmp_path / "without").rows("frames")
+    assert all(row[name] == "" for row in rows for name in metrics.MAP_METRICS)
+    rows = finished(tmp_path / "with", make_experiment(metrics=["rmse", *metrics.MAP_METRICS])).rows("frames")
+    for row in rows:
+        size = float(row["frame"]) + 1.0
+        if row["label"] == "memory":  # reads no map
+            assert all(row[name] == "" for name in metrics.MAP_METRICS)
+            continue
+        assert float(row["m_pixel_median"]) == float(row["m_pixel_p99"]) == size
+        assert float(row["undersampled"]) == float(size > 1.0)
+        assert (row["map_waste"], row["map_unread"]) == ("0.25", "0.5")
+        # the fake's reference is smooth: it has no hard edge
+        assert row["m_edge"] == row["rmse_predicted"] == ""
+
+
 def test_errors_are_those_of_the_stored_images(tmp_path: Path) -> None:
     store = finished(tmp_path)
     for row in store.rows("frames"):
@@ -113,6 +129,13 @@ def test_flicker_follows_surfaces_and_starts_on_the_second_frame(tmp_path: Path)
     history = [float(row["flicker"] or "nan") for row in rows if row["label"] == "history"]
     assert np.isnan(steady[0]) and np.isnan(history[0])
     assert max(steady[1:]) < 0.02 < history[-1]  # the fake history drifts by 0.01 (frame + 1) per frame
+
+
+def test_every_frame_but_the_first_says_what_it_saw_anew(tmp_path: Path) -> None:
+    rows = finished(tmp_path, make_experiment(frames=[0, 40, 60])).rows("frames")
+    shares = {int(row["frame"]): row["disoccluded"] for row in rows}
+    assert list(rows[0]).index("disoccluded") == list(rows[0]).index("receiver_pixels") + 1 and shares[0] == ""
+    assert 0.0 < float(shares[40]) < 0.5 and len({row["disoccluded"] for row in rows}) == 3
 
 
 def test_a_failing_technique_is_recorded_and_the_others_go_on(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from wkernels.filtering import pull_footprint
 from wkernels.frame import Session
 from wkernels.geometry import Geometry
 from wkernels.lanes import LANES, Floats, Ints, Vectors, flat_floats, runs_of
+from wkernels.light_map import depths_on_host
 from wkernels.lights import SphereLight
 from wkernels.scene import Scene
 
@@ -52,7 +53,7 @@ def test_shading(width: int, kind: str, monkeypatch: pytest.MonkeyPatch) -> None
 def test_tags_of_moving_casters(resolution: int, light: object, monkeypatch: pytest.MonkeyPatch) -> None:
     def make() -> np.ndarray:
         session = Session(Geometry(moving_scene(light)), width=16, height=16, threads=3)
-        return session.light_map(resolution, tag_moving_casters=True).depth.numpy().copy()
+        return depths_on_host(session.light_map(resolution, tag_moving_casters=True))
 
     plain, lanes = in_both_ways(monkeypatch, light_map_drawing, make)
     np.testing.assert_array_equal(lanes, plain)
@@ -66,7 +67,7 @@ def test_the_nearest_blocker(resolution: int, light: object, monkeypatch: pytest
         session = Session(Geometry(moving_scene(light)), width=16, height=16, threads=2)
         light_map = session.light_map(resolution, tag_moving_casters=True)
         found = pull_footprint(session, light_map).nearest_depth.numpy().copy()
-        np.testing.assert_array_equal(found, np.abs(light_map.depth.numpy()).min(axis=(1, 2)))
+        np.testing.assert_array_equal(found, np.abs(depths_on_host(light_map)).min(axis=(1, 2)))
         return found
 
     plain, lanes = in_both_ways(monkeypatch, filtering, make)

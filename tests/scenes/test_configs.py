@@ -50,6 +50,33 @@ def test_walkthroughs_move_steadily(name: str, frames: int):
     assert scene.lights[0].has_area
 
 
+BURSTS = ("overlap_walkthrough", "big_penumbra_walkthrough", "moving_blocker_walkthrough", "static_moving_overlap")
+
+
+@pytest.mark.parametrize("name", BURSTS)
+def test_walkthroughs_of_temporal_coherence_turn_cut_and_fly_between_slow_stretches(name: str) -> None:
+    scene = load_scene(SCENES / f"{name}.yaml")
+    assert scene.frames == 100
+    cameras = [scene.camera(frame) for frame in range(100)]
+    eyes, views = (np.array([getattr(c, what) for c in cameras]) for what in ("eye", "target"))
+    views = (views - eyes) / np.linalg.norm(views - eyes, axis=1, keepdims=True)
+    turned = np.degrees(np.arccos(np.clip(np.sum(views[1:] * views[:-1], axis=1), -1.0, 1.0)))  # to frame i + 1
+    moved = np.linalg.norm(np.diff(eyes, axis=0), axis=1)
+    fast = np.zeros(99, bool)
+    fast[24:29], fast[49], fast[74:79] = True, True, True
+    assert turned[~fast].max() < 1.0 and moved[~fast].max() < 0.06
+    assert 30.0 < turned[24:29].sum() < 40.0 and turned[24:29].max() > 5.0
+    assert moved[49] > 5.0  # the cut
+    assert moved[74:79].sum() > 3.0
+
+
+def test_static_and_moving_penumbrae_overlap() -> None:
+    scene = load_scene(SCENES / "static_moving_overlap.yaml")
+    assert [mesh.name for mesh in scene.meshes if mesh.moving] == ["ball"]
+    ball = next(mesh for mesh in scene.meshes if mesh.moving)
+    np.testing.assert_array_equal(ball.object_to_ws(36), ball.object_to_ws(48))  # it rests
+
+
 def test_overlap_has_a_moving_blocker_and_about_70000_triangles():
     scene = load_scene(SCENES / "overlap.yaml")
     assert [mesh.name for mesh in scene.meshes if mesh.moving] == ["mover/torus_knot"]

@@ -60,7 +60,7 @@ def add_row(low: wp.int64, step: wp.int64, span: wp.vec2i):
 class Target:
     """The images that are drawn into, at least a piece wide. They hold keys and, as floats, triangles until the end."""
 
-    key: wp.array(dtype=float)  # flat (H W,)
+    key: wp.array(dtype=float)  # flat, ``pitch`` from row to row
     key_piece: wp.array(dtype=Piece)  # the same memory, a piece from every float on
     triangle: wp.array(dtype=float)
     triangle_piece: wp.array(dtype=Piece)
@@ -69,6 +69,7 @@ class Target:
     with_triangles: int
     width: int
     height: int
+    pitch: int
 
 
 @wp.struct
@@ -92,11 +93,11 @@ def unwarp(key: DepthKey, target: Target, top: int, bottom: int, steps: Piece):
         whole = width / PIECE * PIECE
         for x in range(0, whole, PIECE):
             factor = wp.max(steps * key.per_column + Piece(row + key.per_column * float(x)), least)
-            held = target.key_piece[y * width + x]
-            target.key_piece[y * width + x] = wp.cw_div(held, factor)
+            held = target.key_piece[y * target.pitch + x]
+            target.key_piece[y * target.pitch + x] = wp.cw_div(held, factor)
         for x in range(whole, width):
             factor_x = wp.max(row + key.per_column * float(x), LEAST_FACTOR)
-            target.key[y * width + x] = target.key[y * width + x] / factor_x
+            target.key[y * target.pitch + x] = target.key[y * target.pitch + x] / factor_x
 
 
 @wp.func
@@ -177,7 +178,7 @@ def draw_wide(
         # in double up to each piece: what 8 pixels add in float stays below the rounding of the key
         value = (wp.float64(e_a) * key_a + wp.float64(e_b) * key_b + wp.float64(e_c) * key_c) * over_area
         value += wp.float64(span[0]) * slope
-        at = y_px * target.width + box[0] + span[0]
+        at = y_px * target.pitch + box[0] + span[0]
         for _piece in range(wp.max(count, 0) / PIECE):
             draw_piece(target, at, wp.min(wp.max(rise + Piece(float(value)), low_piece), high_piece), triangle_piece)
             value += PIECE_64 * slope
@@ -213,18 +214,23 @@ def draw_band(
     width = target.width
     top = band * band_rows
     bottom = wp.min(top + band_rows, target.height) - 1
-    begin = top * width
-    end = (bottom + 1) * width
-    last_piece = end - PIECE  # a band is at least a piece wide; clearing some pixels twice does no harm
+    pitch = target.pitch
+    # rows that lie side by side are cleared and finished as one
+    rows = wp.where(pitch == width, 1, bottom - top + 1)
+    row_pixels = wp.where(pitch == width, (bottom - top + 1) * width, width)
     perspective = depth_key.perspective
     background = wp.where(perspective == 1, 0.0, FAR_KEY)
     clear = Piece(background)
     nothing = Piece(-1.0)
-    for at in range(begin, end, PIECE):
-        target.key_piece[wp.min(at, last_piece)] = clear
-    if target.with_triangles != 0:
+    for row in range(rows):
+        begin = (top + row) * pitch
+        end = begin + row_pixels
+        last_piece = end - PIECE  # a row is at least a piece wide; clearing some pixels twice does no harm
         for at in range(begin, end, PIECE):
-            target.triangle_piece[wp.min(at, last_piece)] = nothing
+            target.key_piece[wp.min(at, last_piece)] = clear
+        if target.with_triangles != 0:
+            for at in range(begin, end, PIECE):
+                target.triangle_piece[wp.min(at, last_piece)] = nothing
     e_a = Floats(0.0)
     e_b = Floats(0.0)
     e_c = Floats(0.0)
@@ -331,7 +337,7 @@ def draw_band(
                     in_a = steps * dx_a[k] + Piece(e_a[k] + right * dx_a[k])
                     in_b = steps * dx_b[k] + Piece(e_b[k] + right * dx_b[k])
                     in_c = steps * dx_c[k] + Piece(e_c[k] + right * dx_c[k])
-                    at = y0[k] * width + column_0
+                    at = y0[k] * pitch + column_0
                     for _y in range(y0[k], y1[k] + 1):
                         inside = wp.min(wp.min(in_a, in_b), in_c)
                         near = in_a * by_a[k] + in_b * by_b[k] + in_c * by_c[k] + rest
@@ -340,27 +346,30 @@ def draw_band(
                         in_a += down_a
                         in_b += down_b
                         in_c += down_c
-                        at += width
+                        at += pitch
     if depth_key.warped != 0:
         unwarp(depth_key, target, top, bottom, steps)
     # Keys become depths; what lies beyond the far plane, and the background, overflows to infinity.
     one = Piece(1.0)
     zero = Piece(0.0)
     limit = Piece(far)
-    whole = (end - begin) / PIECE * PIECE
-    for at in range(begin, begin + whole, PIECE):
-        depth = target.key_piece[at]
-        if perspective == 1:
-            depth = wp.cw_div(one, zero - depth)  # 0 - 0 is +0, whose reciprocal is +inf
-        beyond = wp.max(depth - limit, zero) * HUGE
-        target.key_piece[at] = depth + beyond * HUGE
-        if target.with_triangles != 0:
-            held = target.triangle_piece[at]
-            target.triangle_out_piece[at] = IntPiece(held + wp.cw_mul(wp.min(beyond, one), nothing - held))
-    for at in range(begin + whole, end):
-        last = float(target.key[at])
-        if perspective == 1:
-            last = 1.0 / (0.0 - last)
-        target.key[at] = wp.where(last <= far, last, wp.inf)
-        if target.with_triangles != 0:
-            target.triangle_out[at] = wp.where(last <= far, int(target.triangle[at]), NO_TRIANGLE)
+    for row in range(rows):
+        begin = (top + row) * pitch
+        end = begin + row_pixels
+        whole = (end - begin) / PIECE * PIECE
+        for at in range(begin, begin + whole, PIECE):
+            depth = target.key_piece[at]
+            if perspective == 1:
+                depth = wp.cw_div(one, zero - depth)  # 0 - 0 is +0, whose reciprocal is +inf
+            beyond = wp.max(depth - limit, zero) * HUGE
+            target.key_piece[at] = depth + beyond * HUGE
+            if target.with_triangles != 0:
+                held = target.triangle_piece[at]
+                target.triangle_out_piece[at] = IntPiece(held + wp.cw_mul(wp.min(beyond, one), nothing - held))
+        for at in range(begin + whole, end):
+            last = float(target.key[at])
+            if perspective == 1:
+                last = 1.0 / (0.0 - last)
+            target.key[at] = wp.where(last <= far, last, wp.inf)
+            if target.with_triangles != 0:
+                target.triangle_out[at] = wp.where(last <= far, int(target.triangle[at]), NO_TRIANGLE)

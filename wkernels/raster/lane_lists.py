@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from wkernels.raster.blocks import BlockViews
 from wkernels.raster.lane_bands import LANES as BAND_LANES
 from wkernels.raster.lane_bands import Ints as BandInts
 from wkernels.raster.lane_culling import (
@@ -22,10 +24,19 @@ from wkernels.raster.lane_culling import (
     project_lanes,
 )
 from wkernels.raster.scratch import Scratch
+from wkernels.raster.split_culling import (
+    CullShape,
+    Splits,
+    cull_cloned,
+    cull_instanced,
+    project_cloned,
+    project_instanced,
+)
 from wkernels.raster.triangles import CLIP_TRIANGLES, CLIP_VERTICES, clip_triangles
 from wkernels.views import View
 
 CHUNKS = 32
+CLIP_RUNS = 64  # room for the clipped triangles' vertices behind those of each of many views
 BAND_BYTES = 2**18  # a band's depths stay in the second-level cache
 
 
@@ -56,6 +67,19 @@ class BandLists:
     band_rows: int
 
 
+@dataclass
+class Culled:
+    """What passes 1 and 2 leave of the triangles for one view; of the outputs of ``cull_lanes``, and the vertices."""
+
+    vertex: wp.array
+    key: wp.array
+    survivor: wp.array
+    span: wp.array
+    clipped: wp.array
+    found: wp.array
+    counts: wp.array
+
+
 class LaneLists:
     """The passes that every use of the lane rasteriser shares.
 
@@ -72,30 +96,87 @@ class LaneLists:
         """Projects, culls, clips and lists all triangles; arguments as for ``LaneRasteriser.draw``."""
         scratch = self._scratch
         vertices, triangles = len(points_ws), len(indices) // 3
-        clip_vertex, clip_begin = _runs(vertices) * LANES, _runs(triangles) * LANES  # where those of clipped ones go
-        band_shift = int(np.log2(min(64, max(8, BAND_BYTES // (4 * view.width)), max(1, -(-view.height // 4)))))
-        band_rows = 1 << band_shift
-        bands = -(-view.height // band_rows)
-
-        self._hold_corners(indices, clip_begin)
-        self._hold_vertices(clip_vertex)
+        shape, bands = _shape_of(view, cull)
+        self._hold_corners(indices, _runs(triangles) * LANES)
+        room = _runs(vertices) * LANES
+        vertex, key = scratch.array("vertex", (room,), wp.int64), scratch.array("key", (room,), float)
         if vertices:
             inputs: list[Any] = [*self._point_runs(points_ws), view, perspective]
-            scratch.launch(project_lanes, _runs(vertices), inputs, [self._vertex_runs, self._key_runs])
-
+            scratch.launch(project_lanes, _runs(vertices), inputs, [_in_runs(vertex, Longs), _in_runs(key, Floats)])
         survivor, span, clipped = (scratch.array(name, (triangles,), int) for name in ("survivor", "span", "clipped"))
         found = scratch.array("found", (2, CHUNKS + 1), int)
         counts = scratch.array("counts", (bands, CHUNKS + 1), int)
-        shape = [view.width, view.height, band_shift, cull]
-        outputs = [survivor, span, clipped, found, counts]
         found.numpy()[:] = 0
         counts.numpy()[:] = 0
         if triangles:
-            inputs = [self._corner_runs, self._corner_pitch, self._vertex, 0, triangles, 0, CHUNKS, *shape]
-            scratch.launch(cull_lanes, CHUNKS, inputs, outputs)
+            inputs = [self._corner_runs, self._corner_pitch, vertex, 0, triangles, 0, CHUNKS, *_parts(shape)]
+            scratch.launch(cull_lanes, CHUNKS, inputs, [survivor, span, clipped, found, counts])
+        culled = Culled(vertex, key, survivor, span, clipped, found, counts)
+        return self.finish(points_ws, indices, view, perspective, cull, culled)
+
+    def cull_splits(
+        self,
+        points_ws: wp.array,
+        indices: wp.array,
+        splits: Splits,
+        view: View,
+        cull: int,
+        seen: BlockViews,
+        cloned: bool,
+    ) -> Sequence[Culled]:
+        """Projects and culls the triangles for many views at once; ``finish`` does the rest for one after the other.
+
+        Args:
+            points_ws, indices, cull: As for ``LaneRasteriser.draw``; there is at least one triangle.
+            splits: The views; what it says of room is filled in here.
+            view: Any of them, as they are all of one size.
+            seen: What they need.
+            cloned: One work item per block, else one per block and view.
+        """
+        scratch, views = self._scratch, splits.count
+        vertices, triangles = len(points_ws), len(indices) // 3
+        shape, bands = _shape_of(view, cull)
+        self._hold_corners(indices, _runs(triangles) * LANES)
+        runs = _runs(vertices)
+        splits.vertex_runs, splits.triangles = runs + CLIP_RUNS, triangles
+        splits.bands, splits.chunks = bands, CHUNKS
+        room = splits.vertex_runs * LANES
+        vertex = scratch.array("split vertex", (views * room,), wp.int64)
+        key = scratch.array("split key", (views * room,), float)
+        survivor, span, clipped = (
+            scratch.array(name, (views * triangles,), int) for name in ("split survivor", "split span", "split clipped")
+        )
+        found = scratch.array("split found", (2 * views, CHUNKS + 1), int)
+        counts = scratch.array("split counts", (views * bands, CHUNKS + 1), int)
+        found.numpy()[:] = 0
+        counts.numpy()[:] = 0
+        inputs = [*self._point_runs(points_ws), splits, seen.run]
+        outputs = [_in_runs(vertex, Longs), _in_runs(key, Floats)]
+        project, cull_all = (project_cloned, cull_cloned) if cloned else (project_instanced, cull_instanced)
+        scratch.launch(project, runs if cloned else (runs, views), inputs, outputs)
+        inputs = [self._corner_runs, self._corner_pitch, vertex, triangles, shape, splits, seen.block]
+        outputs = [survivor, span, clipped, found, counts]
+        scratch.launch(cull_all, CHUNKS if cloned else (CHUNKS, views), inputs, outputs)
+        out = []
+        for i in range(views):
+            own, part = slice(i * triangles, (i + 1) * triangles), slice(i * room, (i + 1) * room)
+            where = found[2 * i : 2 * i + 2], counts[i * bands : (i + 1) * bands]
+            out.append(Culled(vertex[part], key[part], survivor[own], span[own], clipped[own], *where))
+        return out
+
+    def finish(
+        self, points_ws: wp.array, indices: wp.array, view: View, perspective: int, cull: int, culled: Culled
+    ) -> BandLists:
+        """Clips and lists what is left of the triangles in one view."""
+        scratch = self._scratch
+        vertices, triangles = len(points_ws), len(indices) // 3
+        clip_vertex, clip_begin = _runs(vertices) * LANES, _runs(triangles) * LANES  # where those of clipped ones go
+        shape, bands = _shape_of(view, cull)
+        vertex, key, survivor, span = culled.vertex, culled.key, culled.survivor, culled.span
+        found, counts = culled.found, culled.counts
         chunk_begin = _chunk_begin(triangles, clip_begin)
         crossing = [
-            clipped.numpy()[b : b + n] for b, n in zip(chunk_begin, found.numpy()[1, :CHUNKS], strict=False) if n
+            culled.clipped.numpy()[b : b + n] for b, n in zip(chunk_begin, found.numpy()[1, :CHUNKS], strict=False) if n
         ]
         slots = sum(len(part) for part in crossing)
         clip_triangle = scratch.array("clip triangle", (slots * CLIP_TRIANGLES,), int)
@@ -103,17 +184,20 @@ class LaneLists:
             which = wp.array(np.concatenate(crossing), dtype=int, device="cpu")
             clip_screen = scratch.array("clip screen", (slots * CLIP_VERTICES,), wp.vec4)
             clip_corners = scratch.array("clip corners", (slots * CLIP_TRIANGLES,), wp.vec3i)
-            inputs = [points_ws, indices, which, view]
+            inputs: list[Any] = [points_ws, indices, which, view]
             scratch.launch(clip_triangles, slots, inputs, [clip_screen, clip_corners, clip_triangle])
             total = clip_begin + slots * CLIP_TRIANGLES
             self._hold_corners(indices, total)
-            self._hold_vertices(clip_vertex + slots * CLIP_VERTICES, keep=clip_vertex)
-            survivor, span = (self._grown(name, total, triangles) for name in ("survivor", "span"))
+            room = clip_vertex + slots * CLIP_VERTICES
+            vertex = self._with_room("vertex", vertex, room, clip_vertex)
+            key = self._with_room("key", key, room, clip_vertex)
+            survivor = self._with_room("survivor", survivor, total, triangles)
+            span = self._with_room("span", span, total, triangles)
             inputs = [clip_screen, clip_corners, clip_vertex, clip_begin, perspective]
-            outputs = [self._vertex, self._key, self._corners, self._corner_pitch * LANES]
+            outputs = [vertex, key, self._corners, self._corner_pitch * LANES]
             scratch.launch(append_clipped, slots, inputs, outputs)
-            inputs = [self._corner_runs, self._corner_pitch, self._vertex, clip_begin, total, CHUNKS, 1, *shape]
-            scratch.launch(cull_lanes, 1, inputs, [survivor, span, clipped, found, counts])
+            inputs = [self._corner_runs, self._corner_pitch, vertex, clip_begin, total, CHUNKS, 1, *_parts(shape)]
+            scratch.launch(cull_lanes, 1, inputs, [survivor, span, culled.clipped, found, counts])
 
         starts = np.concatenate([[0], np.cumsum(counts.numpy().ravel(), dtype=np.int64)])
         band_begin = scratch.array("band begin", (bands + 1,), int)
@@ -125,9 +209,9 @@ class LaneLists:
         list_runs = wp.array(ptr=band_list.ptr, dtype=BandInts, shape=listed + 1, strides=(4,), device="cpu")
         begins = wp.array(chunk_begin, dtype=int, device="cpu")
         scratch.launch(list_bands, CHUNKS + 1, [survivor, span, begins, found, counts], [band_list])
-        corners, pitch = self._corners, self._corner_pitch * int(LANES)
+        pitch, rows = self._corner_pitch * int(LANES), 1 << shape.band_shift
         return BandLists(
-            corners, pitch, self._vertex, self._key, clip_triangle, clip_begin, band_begin, list_runs, bands, band_rows
+            self._corners, pitch, vertex, key, clip_triangle, clip_begin, band_begin, list_runs, bands, rows
         )
 
     def _point_runs(self, points_ws: wp.array) -> tuple[wp.array, wp.array]:
@@ -139,19 +223,13 @@ class LaneLists:
         rest.numpy().ravel()[: left.size] = left
         return runs, rest
 
-    def _hold_vertices(self, count: int, keep: int = 0) -> None:
-        """Room for the vertices' coordinates and keys, in whole runs; the first ``keep`` stay as they are."""
-        count = _runs(count) * LANES
-        self._vertex, self._key = self._grown("vertex", count, keep, wp.int64), self._grown("key", count, keep, float)
-        self._vertex_runs = wp.array(ptr=self._vertex.ptr, dtype=Longs, shape=_runs(count), device="cpu")
-        self._key_runs = wp.array(ptr=self._key.ptr, dtype=Floats, shape=_runs(count), device="cpu")
-
-    def _grown(self, name: str, count: int, keep: int, dtype: type = int) -> wp.array:
-        """A scratch array of at least ``count``; its first ``keep`` elements survive if it has to grow."""
-        old = self._scratch.array(name, (keep,), dtype) if keep else None
-        new = self._scratch.array(name, (count,), dtype)
-        if old is not None and old.ptr != new.ptr:
-            wp.copy(new, old, count=keep)
+    def _with_room(self, name: str, held: wp.array, count: int, keep: int) -> wp.array:
+        """``held`` if it has room for ``count``, else an array that begins with its first ``keep`` elements."""
+        if len(held) >= count:
+            return held
+        new = self._scratch.array(name, (count,), held.dtype)
+        if new.ptr != held.ptr:
+            wp.copy(new, held, count=keep)
         return new
 
     def _hold_corners(self, indices: wp.array, count: int) -> None:
@@ -166,6 +244,23 @@ class LaneLists:
         held[:, :triangles] = indices.numpy()[: 3 * triangles].reshape(-1, 3).T
         held[:, triangles:] = 0
         self._corners_of = indices
+
+
+def _shape_of(view: View, cull: int) -> tuple[CullShape, int]:
+    """What triangles are culled for in a view, and its bands."""
+    shape = CullShape()
+    shape.width, shape.height, shape.cull = view.width, view.height, cull
+    shape.band_shift = int(np.log2(min(64, max(8, BAND_BYTES // (4 * view.width)), max(1, -(-view.height // 4)))))
+    return shape, -(-view.height // (1 << shape.band_shift))
+
+
+def _parts(shape: CullShape) -> list[int]:
+    """What ``cull_lanes`` takes of it."""
+    return [shape.width, shape.height, shape.band_shift, shape.cull]
+
+
+def _in_runs(values: wp.array, dtype: type) -> wp.array:
+    return wp.array(ptr=values.ptr, dtype=dtype, shape=len(values) // int(LANES), device="cpu")
 
 
 def _runs(count: int) -> int:

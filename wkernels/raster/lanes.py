@@ -15,11 +15,15 @@ that nearer is less in both; ``depth_key`` says what it is for warped ones.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 import warp as wp
 
+from wkernels.raster.blocks import BlockViews
 from wkernels.raster.lane_bands import PIECE, DepthKey, IntPiece, Piece, Target, draw_band
-from wkernels.raster.lane_lists import LaneLists
+from wkernels.raster.lane_lists import BandLists, LaneLists
+from wkernels.raster.split_culling import Splits
 from wkernels.views import View
 
 MAX_TRIANGLES = 2**24  # the triangle of a pixel is kept in a float, next to its depth
@@ -73,6 +77,52 @@ class LaneRasteriser(LaneLists):
     ) -> None:
         """``Rasteriser.draw`` for fewer than MAX_TRIANGLES triangles; ``key`` is ``depth_key(view)``."""
         lists = self.list(points_ws, indices, view, key.perspective, cull)
+        self._draw(lists, view, key, depth_out, triangle_out, cull)
+
+    def draw_splits(
+        self,
+        points_ws: wp.array,
+        indices: wp.array,
+        views: Sequence[View],
+        keys: Sequence[DepthKey],
+        seen: BlockViews,
+        drawing: str,
+        cull: int,
+        targets: Callable[[int], tuple[wp.array, wp.array | None]],
+        drawn: Callable[[int], None],
+    ) -> None:
+        """Many views of one size, ``Rasteriser.draw_many``: all at once up to pass 2, then one after the other.
+
+        Args:
+            points_ws, indices, cull: As for ``draw``, with at least one triangle.
+            views: At most ``blocks.MAX_VIEWS``.
+            keys: ``depth_key`` of each.
+            seen: What they need, ``TriangleBlocks.seen_by``.
+            drawing: ``passes`` (not at once at all), ``cloned`` or ``instanced``.
+            targets: Depth and triangle images of a view.
+            drawn: Called after each view.
+        """
+        splits = Splits()
+        splits.views = wp.array(list(views), dtype=View, device="cpu")
+        splits.perspective = wp.array([key.perspective for key in keys], dtype=int, device="cpu")
+        together = 1 if drawing == "passes" else len(views)
+        for first in range(0, len(views), together):
+            splits.first, splits.count = first, together
+            culled = self.cull_splits(points_ws, indices, splits, views[0], cull, seen, drawing == "cloned")
+            for i, own in enumerate(culled, first):
+                lists = self.finish(points_ws, indices, views[i], keys[i].perspective, cull, own)
+                self._draw(lists, views[i], keys[i], *targets(i), cull)
+                drawn(i)
+
+    def _draw(
+        self,
+        lists: BandLists,
+        view: View,
+        key: DepthKey,
+        depth_out: wp.array,
+        triangle_out: wp.array | None,
+        cull: int,
+    ) -> None:
         inputs = [lists.corners, lists.corner_pitch, lists.vertex, lists.key, lists.clip_triangle, lists.first_clipped]
         inputs += [lists.begin, lists.listed, lists.band_rows, view.far, key, cull, _STEPS]
         self._scratch.launch(draw_band, lists.bands, inputs, [_target(view, depth_out, triangle_out)], tile=1)
@@ -80,13 +130,14 @@ class LaneRasteriser(LaneLists):
 
 def _target(view: View, depth_out: wp.array, triangle_out: wp.array | None) -> Target:
     out = Target()
-    pixels = view.width * view.height
+    pitch = depth_out.strides[0] // 4
+    pixels = pitch * (view.height - 1) + view.width
     out.key, out.key_piece = _flat(depth_out.ptr, pixels, float), pieces(depth_out.ptr, pixels, Piece)
     if triangle_out is not None:
         address = triangle_out.ptr
         out.triangle, out.triangle_piece = _flat(address, pixels, float), pieces(address, pixels, Piece)
         out.triangle_out, out.triangle_out_piece = _flat(address, pixels, int), pieces(address, pixels, IntPiece)
-    out.with_triangles, out.width, out.height = int(triangle_out is not None), view.width, view.height
+    out.with_triangles, out.width, out.height, out.pitch = int(triangle_out is not None), view.width, view.height, pitch
     return out
 
 

@@ -21,11 +21,11 @@ STRIPES = 16
 BACKGROUND_KEY = wp.constant(wp.uint64(0x7F800000FFFFFFFF))  # +inf depth, triangle -1
 
 
-@wp.kernel
-def draw_stripe(first: int, triangles: ScreenTriangles, stripes: int, key_out: wp.array2d(dtype=wp.uint64)):
-    """CUDA: every ``stripes``-th row of one triangle into the 64-bit (depth, triangle) minimum."""
-    i, stripe = wp.tid()
-    t = first + i
+@wp.func
+def draw_rows(
+    triangles: ScreenTriangles, t: int, stripe: int, stripes: int, row_0: int, key_out: wp.array2d(dtype=wp.uint64)
+):
+    """Every ``stripes``-th row of one triangle into the 64-bit (depth, triangle) minimum, from row ``row_0`` on."""
     s = set_up(triangles, t)
     bias_a = top_left_bias(s.bx, s.by, s.cx, s.cy)
     bias_b = top_left_bias(s.cx, s.cy, s.ax, s.ay)
@@ -42,10 +42,24 @@ def draw_stripe(first: int, triangles: ScreenTriangles, stripes: int, key_out: w
                 depth = interpolate_depth(s, e_a - bias_a, e_b - bias_b, e_c - bias_c)
                 if depth <= triangles.far:
                     high = wp.uint64(wp.cast(depth, wp.uint32))  # order of positive floats = order of their bits
-                    wp.atomic_min(key_out, y, x, (high << wp.uint64(32)) | low)
+                    wp.atomic_min(key_out, row_0 + y, x, (high << wp.uint64(32)) | low)
             e_a += (s.by - s.cy) * PIXEL_STEP
             e_b += (s.cy - s.ay) * PIXEL_STEP
             e_c += (s.ay - s.by) * PIXEL_STEP
+
+
+@wp.kernel
+def draw_stripe(
+    first: int,
+    triangles: ScreenTriangles,
+    begin: int,
+    row_0: int,
+    stripes: int,
+    key_out: wp.array2d(dtype=wp.uint64),
+):
+    """CUDA: ``draw_rows`` of one triangle from the ``begin``-th on."""
+    i, stripe = wp.tid()
+    draw_rows(triangles, begin + first + i, stripe, stripes, row_0, key_out)
 
 
 @wp.kernel
@@ -75,5 +89,5 @@ def draw_stripes(
     """Clears the targets and draws ``total`` projected triangles on CUDA."""
     key = scratch.array("key", (triangles.height, triangles.width), wp.uint64)
     key.fill_(BACKGROUND_KEY)
-    scratch.launch(draw_stripe, (total, STRIPES), [triangles, STRIPES], [key])
+    scratch.launch(draw_stripe, (total, STRIPES), [triangles, 0, 0, STRIPES], [key])
     scratch.launch(split_key, key.shape, [key, with_triangles], [depth_out, triangle_out])

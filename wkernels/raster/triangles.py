@@ -163,6 +163,7 @@ class ScreenTriangles:
     """Projected triangles: those of the mesh, then the fans of the clipped ones."""
 
     screen: wp.array(dtype=wp.vec4)  # x, y in pixels, linear depth / w, 1 / w (-1: was clipped)
+    first_vertex: int  # where the mesh's vertices begin in it: those of many views lie one after the other
     indices: wp.array(dtype=int)
     count: int
     clip_screen: wp.array(dtype=wp.vec4)
@@ -213,9 +214,9 @@ def set_up(triangles: ScreenTriangles, t: int):
     b = wp.vec4()
     c = wp.vec4()
     if t < triangles.count:
-        a = triangles.screen[triangles.indices[3 * t]]
-        b = triangles.screen[triangles.indices[3 * t + 1]]
-        c = triangles.screen[triangles.indices[3 * t + 2]]
+        a = triangles.screen[triangles.first_vertex + triangles.indices[3 * t]]
+        b = triangles.screen[triangles.first_vertex + triangles.indices[3 * t + 1]]
+        c = triangles.screen[triangles.first_vertex + triangles.indices[3 * t + 2]]
     else:
         corners = triangles.clip_corners[t - triangles.count]
         a = triangles.clip_screen[corners[0]]

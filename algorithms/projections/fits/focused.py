@@ -5,8 +5,11 @@ do not lie in empty space (section 3.3.1). The thesis fits to B, which holds H a
 scene: in the map B has the extent of H, and only its depth range is larger (``wkernels.focusing.light_body``), so that
 H suffices.
 
-Deviations: linear depth over the whole scene's range, so that no near plane need be moved (Brabec's variants), and
-casters before B need no clamping.
+Deviations: linear depth over the whole scene's range, so that no near plane need be moved, and casters before B need no
+clamping. Brabec's other variant, a near plane at what is seen with the casters before it clamped to it, is the key
+``depth: tight``. Stingl calls that unsafe under a warp, which bends the depth that is clamped; here warps leave depth
+linear, and the clamp moves stored depths and no vertices, so that the shadows are the same to the bit. What is lost is
+the clamped casters' distance: soft shadows take them for nearer than they are.
 
 Known artefacts: shadow edges swim as the eye moves. A point light within the covered body gets six uniform faces.
 """

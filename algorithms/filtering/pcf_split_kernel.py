@@ -1,0 +1,182 @@
+"""PCF whose kernel has one size in the world in all splits (Reeves, Salesin and Cook 1987; Stingl 2011, section 3.6.1).
+
+A kernel of fixed size in texels is as wide in the world as the split's texels are, so that shadows change their
+softness abruptly where one split ends and the next begins (Fig 3.22). Equation 3.9 scales it by each split's focusing,
+s_i = r_l l_sc (2 / (max_x - min_x), 2 / (max_y - min_y)), where r_l is the diameter of a fictional light and max - min
+the split's extent in light space: r_l times texels per length, as long as nothing but the focusing scales the map.
+
+``scale: layer`` is the equation: one size in texels for all of a split, measured in the middle of its map. Under a warp
+texels grow away from the eye, and the kernel with them: within a split it is too narrow before the middle and too wide
+behind it, by the ratio of the texels there, and it jumps again at the border. ``scale: receiver`` measures texels per
+length where the receiver lies, which is the same without a warp, and keeps its size with one and under point lights;
+it is the default.
+
+Deviations: l_sc, which shrinks the kernel to an atlas's tile, has no place here, as kernels are in texels of a layer
+whatever the storage; with the factor 2 the equation is in normalised coordinates, not in texture coordinates. Under a
+point light, ``layer`` holds at the distance of the middle of the receivers. The thesis has 64 taps.
+Known artefacts: those of ``pcf``; a split whose texels are wider than the kernel has the softness of one texel.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import warp as wp
+from pydantic import ValidationInfo, field_validator
+
+from algorithms.technique import Limit, MapParams, Technique, setting
+from wkernels.comparison_lanes import SpreadRun
+from wkernels.filtering import check_tap_count, penumbra_filter, pull_taps
+from wkernels.filtering_lanes import keep_without_receiver, penumbra_filter_run
+from wkernels.frame import Session as Frame
+from wkernels.gbuffer import GBuffer
+from wkernels.lanes import LANES, Floats, runs_per_row, uses_lanes
+from wkernels.layer_density import pull_layer_densities
+from wkernels.light_map import Bias, LightMap, texels_per_length
+from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
+from wkernels.receivers import receiver_of_pixel
+
+
+@wp.func
+def kernel_radius(density: float, radius: float, resolution: int):
+    """Radius in texels, at most the side of the map."""
+    return wp.min(radius * density, float(resolution))
+
+
+@wp.kernel
+def filter_in_world(
+    first: int,
+    gbuffer: GBuffer,
+    light_map: LightMap,
+    bias: Bias,
+    taps: wp.array(dtype=wp.vec2),
+    densities: wp.array(dtype=wp.vec2),
+    radius: float,
+    by_receiver: int,
+    bilinear: int,
+    visibility_out: wp.array2d(dtype=float),
+):
+    """A kernel of ``radius`` scene units around every pixel's receiver."""
+    row, x = wp.tid()
+    y = first + row
+    receiver = receiver_of_pixel(gbuffer, light_map, bias, y, x)
+    visible = receiver.visible
+    if receiver.layer >= 0:
+        density = densities[receiver.layer]
+        if by_receiver != 0:
+            density = texels_per_length(light_map, receiver.layer, gbuffer.position_ws[y, x])
+        across = kernel_radius(density[0], radius, light_map.resolution)
+        down = kernel_radius(density[1], radius, light_map.resolution)
+        visible = penumbra_filter(light_map, receiver, wp.mat22(across, 0.0, 0.0, down), taps, bilinear)
+    visibility_out[y, x] = visible
+
+
+@wp.kernel
+def filter_in_world_lanes(
+    first: int,
+    views: LaneViews,
+    light_map: LightMap,
+    bias: Bias,
+    taps: wp.array(dtype=wp.vec2),
+    densities: wp.array(dtype=float),  # flat (2 layers,)
+    radius: float,
+    by_receiver: int,
+    bilinear: int,
+    visibility_out: wp.array2d(dtype=float),
+):
+    """``filter_in_world`` of a run of pixels."""
+    row, column = wp.tid()
+    y = first + row
+    x0 = column * LANES
+    receivers = locate_run(views, light_map, bias, x0, y)
+    visible = receivers.visible
+    if receivers.count > 0:
+        layers = receivers.layer
+        density_x = receivers.density_x
+        density_y = receivers.density_y
+        across = Floats(0.0)
+        down = Floats(0.0)
+        for k in range(LANES):
+            layer = wp.max(layers[k], 0)
+            here_x = wp.where(by_receiver != 0, density_x[k], densities[2 * layer])
+            here_y = wp.where(by_receiver != 0, density_y[k], densities[2 * layer + 1])
+            across[k] = kernel_radius(here_x, radius, light_map.resolution)
+            down[k] = kernel_radius(here_y, radius, light_map.resolution)
+        spread = SpreadRun()
+        spread.xx = across
+        spread.yy = down
+        lit = penumbra_filter_run(views, light_map, receivers, spread, taps, bilinear)
+        visible = keep_without_receiver(receivers, lit)
+    for k in range(wp.min(LANES, visibility_out.shape[1] - x0)):
+        visibility_out[y, x0 + k] = visible[k]
+
+
+class PcfSplitKernel(Technique):
+    """One kernel of fixed size in the world."""
+
+    name = "pcf_split_kernel"
+    family = "filtering"
+    paper = ("stingl2011", "reeves1987pcf")
+    stability_limits: ClassVar[dict[str, str]] = {
+        "unit_length": "the kernel's diameter is a length of the world: a scene in other units needs another"
+    }
+    bias_sign = "none"
+    limits = (Limit(equals="shadow_map", params={"diameter": 0.0, "bilinear": False}),)
+
+    class Params(MapParams):
+        """The kernel."""
+
+        diameter: float = setting(
+            0.2, "r_l, width of the softened edge", unit="scene units", source="Stingl 2011, eq. 3.9", ge=0.0, le=1e6
+        )
+        scale: Literal["layer", "receiver"] = setting(
+            "receiver",
+            "where texels per length are measured: once for each split, or at each receiver",
+            unit="name",
+            source="Stingl 2011, eq. 3.9",
+        )
+        kernel: Literal["poisson", "box"] = setting(
+            "poisson", "shape: poisson disc, or box of k x k taps", unit="name", source="Stingl 2011, sec. 3.6"
+        )
+        taps: int = setting(
+            64,
+            "comparisons per pixel; a square number for box",
+            unit="taps",
+            source="Stingl 2011, sec. 3.6",
+            ge=1,
+            le=4096,
+        )
+        bilinear: bool = setting(
+            True, "each tap is the bilinear mean of 2 x 2 comparisons", unit="yes/no", source="Stingl 2011, sec. 3.6"
+        )
+
+        @field_validator("taps")
+        @classmethod
+        def _fit_kernel(cls, taps: int, info: ValidationInfo) -> int:
+            return check_tap_count(taps, info.data.get("kernel", "poisson"))
+
+    def render(self, frame: Frame) -> wp.array:
+        gbuffer = frame.gbuffer()
+        visibility = frame.visibility_buffer(gbuffer)
+        if frame.nothing_casts(visibility):
+            return visibility
+        params = self.params
+        light_map = frame.light_map(params.resolution, cull=params.cull)
+        taps = pull_taps(frame, params.kernel, params.taps)
+        densities = pull_layer_densities(frame, light_map)
+        shape = [0.5 * params.diameter, int(params.scale == "receiver"), int(params.bilinear)]
+        with frame.timed("filter comparisons"):
+            inputs = [light_map, params.device_bias, taps]
+            if uses_lanes(frame.device):
+                runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
+                inputs = [lane_views(gbuffer, light_map), *inputs, _flat(densities), *shape]
+                frame.launch(filter_in_world_lanes, runs, inputs, [visibility])
+            else:
+                inputs = [gbuffer, *inputs, densities, *shape]
+                frame.launch(filter_in_world, visibility.shape, inputs, [visibility])
+        return visibility
+
+
+def _flat(pairs: wp.array) -> wp.array:
+    """A vec2 array as its floats, on the CPU; a view, which must not outlive it."""
+    return wp.array(ptr=pairs.ptr, dtype=float, shape=2 * pairs.shape[0], device="cpu")

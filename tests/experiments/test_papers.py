@@ -1,0 +1,50 @@
+"""The experiment files that come with the project load, and every figure of the sources has its file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from algorithms.plugins import load_all
+from experiments.config.analysis import load_analysis
+from experiments.config.convergence import Convergence, Estimates, load_convergence
+from experiments.config.kinds import kind_of
+from experiments.config.schema import Experiment, load_experiment
+from experiments.config.stability import load_stability
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+FILES = sorted([*CONFIGS.glob("papers/*.yaml"), *CONFIGS.glob("experiments/*.yaml")])
+
+
+@pytest.mark.parametrize("file", FILES, ids=[file.stem for file in FILES])
+def test_experiment_file_loads(file: Path) -> None:
+    kind = kind_of(file)
+    if kind == "analysis":
+        assert load_analysis(file).curves
+    elif kind == "convergence":
+        assert isinstance(load_convergence(file), Convergence | Estimates)
+    elif kind == "stability":
+        assert load_stability(file, [], load_all()).cases
+    else:
+        experiment = load_experiment(file)
+        assert isinstance(experiment, Experiment) and experiment.frames
+        # A reference that no rendered frame meets would leave the figure without errors.
+        assert experiment.reference is None or experiment.reference.every <= max(1, len(experiment.frames))
+
+
+def test_every_figure_of_the_temporal_sources_has_its_file() -> None:
+    stems = {file.stem for file in FILES}
+    of_the_paper = {"1_left", "1_right", "2", "3", "4", "5_left", "5_right"}
+    of_the_thesis = {"1", "2", "3", "4", "5", "6", "7_upper", "7_lower"}
+    assert {f"s3_fig_{name}" for name in of_the_paper} | {"s3_table_1", "s0_table_5_1"} <= stems
+    assert {f"s0_fig_5_{name}" for name in of_the_thesis} <= stems
+
+
+def test_walkthrough_figures_have_the_published_sizes() -> None:
+    for name, size in (("s3_fig_4", (1024, 768)), ("s0_fig_5_6", (800, 600))):
+        experiment = load_experiment(CONFIGS / "papers" / f"{name}.yaml")
+        assert (experiment.image.width, experiment.image.height) == size
+        assert {run.params["resolution"] for run in experiment.runs} == {1024}
+        taps = [(r.params["blocker_taps"], r.params["filter_taps"]) for r in experiment.runs if r.name == "pcss"]
+        assert taps == [(16, 16), (32, 32)]
