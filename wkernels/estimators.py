@@ -16,6 +16,9 @@ does."""
 FLOAT32_LIMIT = 2.0**22
 """Largest n for sums kept in float32, a quarter of where integers stop being exact."""
 
+UNLIMITED = 3.0e38
+"""No limit at all: what the papers' own buffers had."""
+
 
 @wp.func
 def hidden_share(rho: float, n: float) -> float:
@@ -61,3 +64,26 @@ def add_test(rho: float, n: float, tau: float, weight: float, limit: float) -> w
     """
     scale = wp.where(n + weight > limit, 0.5, 1.0)
     return wp.vec2(scale * rho + weight * tau, scale * n + weight)
+
+
+@wp.func
+def fade_out(rho: float, n: float, decrement: float) -> wp.vec2:
+    """(rho, n) that count for ``decrement`` tests less, psi as before (Schwaerzler 2009, equations 5.15 to 5.17).
+
+    (0, 0) once nothing is left.
+    """
+    left = wp.max(n - decrement, 0.0)
+    return wp.vec2(wp.where(n > 0.0, left * rho / wp.max(n, 1.0e-30), 0.0), left)
+
+
+@wp.func
+def sampling_weight(error: float, least_error: float, largest_error: float) -> float:
+    """Weight of the sampled psi against a smoothed one (Schwaerzler 2009, equation 5.13), 0 to 1.
+
+    Args:
+        error: Standard error s of psi.
+        least_error: s_min; from there down the sampled psi stands alone.
+        largest_error: s_max; from there up the smoothed one does. Where both bounds are the same it is a threshold.
+    """
+    range_ = wp.max(largest_error - least_error, 1.0e-20)
+    return wp.clamp((largest_error - error) / range_, 0.0, 1.0)

@@ -104,6 +104,7 @@ class Session:
         self._buffers: dict[Hashable, wp.array] = {}
         self._histories: dict[str, History] = {}
         self._previous_camera: Any = None
+        self._previous_index: int | None = None
         self.left_out: dict[tuple[str, str], int] = {}
         self.light_views: tuple[list[HostView], np.ndarray] | None = None
         self.read_map: LightMap | None = None  # the map with these views
@@ -160,7 +161,7 @@ class Session:
             history.previous, history.current = history.current, history.previous
             history.valid = True
         self.near_plane.advance()
-        self._previous_camera = self._camera
+        self._previous_camera, self._previous_index = self._camera, self.index
         self.count += 1
         self._visit += 1
 
@@ -171,7 +172,7 @@ class Session:
         for history in self._histories.values():
             history.valid = False
         self.near_plane.reset()
-        self._previous_camera = None
+        self._previous_camera = self._previous_index = None
         self.count = 0
         self._visit += 1
 
@@ -323,6 +324,15 @@ class Session:
         box = self.geometry.bounds(casters=True, receivers=True)
         return 1.0 if box.empty else 1.01 * float(np.linalg.norm(box.high - box.low)) + 1e-6
 
+    def look_from_light(
+        self, light_ws: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int
+    ) -> list[HostView]:
+        """The projection's views from a light sample (4,), rebased world, of these boxes, one per layer of a map."""
+        views = self.projection(light_ws, receivers, casters, resolution, self.near_plane.eye(self, receivers))
+        for what, reason in getattr(self.projection, "left_out", ()):
+            self.record(what, reason)
+        return views
+
     def light_map(
         self,
         resolution: int,
@@ -351,9 +361,7 @@ class Session:
         if receivers.empty:  # no meshes at all: any view will do
             receivers = Bounds()
             receivers.add(np.zeros((1, 3)))
-        views = self.projection(sample, receivers, casters, resolution, self.near_plane.eye(self, receivers))
-        for what, reason in getattr(self.projection, "left_out", ()):
-            self.record(what, reason)
+        views = self.look_from_light(sample, receivers, casters, resolution)
         if jitter is not None:
             views = [jittered_view(view, jitter) for view in views]
         shown = light_ws is None or self.light_views is None
@@ -369,7 +377,7 @@ class Session:
         if name not in self._histories:
             self._histories[name] = History(allocate(), allocate())
         out = self._histories[name]
-        out.previous_view = None
+        out.previous_view, out.previous_index = None, self._previous_index if out.valid else None
         if out.valid and self._previous_camera is not None:
             view = eye_view(self._previous_camera, self.width, self.height, self.geometry.origin_ws, margin)
             out.previous_view = view.to_device()

@@ -17,9 +17,11 @@ class History:
         current: For this frame to write, completely.
         valid: Whether there was a last frame.
         previous_view: The eye's view of that frame, at the buffer's size.
+        previous_index: That frame's index.
     """
 
     previous: Any
     current: Any
     valid: bool = False
     previous_view: View | None = None
+    previous_index: int | None = None

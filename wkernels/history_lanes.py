@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.geometry import RECEIVES
+from wkernels.geometry import MOVES, RECEIVES
 from wkernels.lanes import LANES, Floats, Ints
 from wkernels.receiver_lanes import LaneViews
 from wkernels.shadow_buffer import EDGE_ON
@@ -16,6 +16,7 @@ class PointRun:
     """What a run's pixels see; zeros where nothing receives."""
 
     receives: Ints
+    moves: Ints  # 1: the surface itself does
     x: Floats
     y: Floats
     z: Floats
@@ -27,11 +28,15 @@ class PointRun:
 
 @wp.struct
 class HistoryRun:
-    """``ShadowRecord`` of each lane, but for its depth; n = 0 where the pixel is new."""
+    """``ShadowRecord`` of each lane, but for its depth; n = 0 where the pixel is new.
+
+    Where ``of_mover`` is 1 a texel holds a moving caster's shadow, and the sums are no use: they mix it with others.
+    """
 
     rho: Floats
     n: Floats
     blocker_rise: Floats
+    of_mover: Ints
 
 
 @wp.struct
@@ -56,6 +61,7 @@ def points_of_run(views: LaneViews, eye_depth: wp.array(dtype=Floats), x0: int, 
     normal = views.normal_ws[3 * begin]
     eye_depths = eye_depth[begin]
     receives = Ints(0)
+    moves = Ints(0)
     px = Floats(0.0)
     py = Floats(0.0)
     pz = Floats(0.0)
@@ -65,6 +71,7 @@ def points_of_run(views: LaneViews, eye_depth: wp.array(dtype=Floats), x0: int, 
     depth = Floats(0.0)
     for k in range(LANES):
         receives[k] = wp.where((flags[k] & RECEIVES) != 0, 1, 0)
+        moves[k] = wp.where((flags[k] & MOVES) != 0, receives[k], 0)
         px[k] = position[3 * k]
         py[k] = position[3 * k + 1]
         pz[k] = position[3 * k + 2]
@@ -73,6 +80,7 @@ def points_of_run(views: LaneViews, eye_depth: wp.array(dtype=Floats), x0: int, 
         nz[k] = normal[3 * k + 2]
         depth[k] = wp.where(receives[k] != 0, eye_depths[k], 0.0)
     out.receives = receives
+    out.moves = moves
     out.x = px
     out.y = py
     out.z = pz
@@ -136,7 +144,7 @@ def fetch_run(
     points: PointRun,
     places: PlaceRun,
     epsilon: float,
-    rounding: float,
+    relative: float,
 ):
     """``fetch_record`` at the places of ``place_run``."""
     px = points.x
@@ -166,6 +174,7 @@ def fetch_run(
     rho = Floats(0.0)
     n = Floats(0.0)
     rise = Floats(0.0)
+    of_mover = Ints(0)
     for dy in range(2):
         for dx in range(2):
             for k in range(LANES):
@@ -178,7 +187,8 @@ def fetch_run(
                 at = 4 * wp.where(on_image != 0, row * width + column, 0)
                 held_rho = previous[at]
                 held_n = previous[at + 1]
-                held_depth = previous[at + 2] * far
+                tagged_depth = previous[at + 2] * far
+                held_depth = wp.abs(tagged_depth)
                 held_rise = previous[at + 3]
                 x_px = float(column) + 0.5
                 y_px = float(row) + 0.5
@@ -193,7 +203,7 @@ def fetch_run(
                 from_z = pz[k] - (b_z + x_px * bx_z + y_px * by_z)
                 on_plane = (nx[k] * from_x + ny[k] * from_y + nz[k] * from_z) / wp.where(seen, slope, 1.0)
                 expected = wp.where(seen, on_plane, own_depth[k])
-                close = wp.abs(held_depth - expected) < epsilon + rounding * held_depth
+                close = wp.abs(held_depth - expected) < epsilon + relative * held_depth
                 counts = wp.where(share > 0.0, wp.where(held_n > 0.0, wp.where(held_depth > 0.0, on_image, 0), 0), 0)
                 taken = wp.where(close, wp.where(counts != 0, share, 0.0), 0.0)
                 total[k] = total[k] + taken
@@ -202,6 +212,7 @@ def fetch_run(
                 met = wp.where(held_rise > 0.0, taken, 0.0)
                 known[k] = known[k] + met
                 rise[k] = rise[k] + met * held_rise
+                of_mover[k] = wp.where(tagged_depth < 0.0, wp.where(taken > 0.0, 1, of_mover[k]), of_mover[k])
     out = HistoryRun()
     for k in range(LANES):
         rho[k] = wp.where(total[k] > 0.0, rho[k] / wp.where(total[k] > 0.0, total[k], 1.0), 0.0)
@@ -210,4 +221,5 @@ def fetch_run(
     out.rho = rho
     out.n = n
     out.blocker_rise = rise
+    out.of_mover = of_mover
     return out

@@ -11,15 +11,10 @@ any projection (``plane_slopes``).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import warp as wp
 
-from wkernels.lanes import LANES, Floats, runs_of, uses_lanes
-from wkernels.launch import launch
 from wkernels.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL, BIAS_SLOPE, ROUNDING, Bias, to_light
-from wkernels.raster import Rasteriser
 from wkernels.views import HostView
 
 TILE = 4
@@ -55,7 +50,6 @@ class PoolTest:
 
     holds: int  # 1: the map holds the point, or the point is turned away from the light's point
     tau: float  # 1 hidden, 0 lit
-    rise: float  # 1 - z_b / z_r of what hides it; 0 for none
 
 
 def allocate_pool(maps: int, slots: int, resolution: int, device: str) -> MapPool:
@@ -85,134 +79,10 @@ def layer_constants(view: HostView) -> np.ndarray:
     return out
 
 
-def draw_into_pool(
-    pool: MapPool,
-    at: int,
-    views: Sequence[HostView],
-    light_ws: np.ndarray,
-    weight: float,
-    casters: tuple[wp.array, wp.array],
-    rasteriser: Rasteriser,
-    cull: int,
-    drawn: wp.array,
-) -> None:
-    """Draws one map of a pool, over what was there.
-
-    Args:
-        pool: The pool. at: Index of the map. views: Its layers, at most ``pool.slots``, square, of the pool's
-            resolution. light_ws: The light's point (4,), rebased world. weight: Its relative radiance.
-        casters: Vertices and indices, as of ``Geometry.casters``.
-        rasteriser: Draws the layers. cull: Faces that are left out, as seen from the light.
-        drawn: Scratch, float32 (R, R), which holds the last layer's depths afterwards.
-    """
-    first = at * pool.slots
-    device = str(pool.depth.device)
-    depths = wp.zeros(1, dtype=float, device=device)
-    for i, view in enumerate(views):
-        rasteriser.draw(*casters, view.to_device(), drawn, None, cull)
-        store_layers(drawn, 1, depths, first + i, pool, rasteriser.threads)
-    rows = np.stack([layer_constants(view) for view in views])
-
-    def put(out: wp.array, values: np.ndarray, begin: int, dtype: type) -> None:
-        wp.copy(out, wp.array(values, dtype=dtype, device=device), dest_offset=begin, count=len(values))
-
-    put(pool.constants.flatten(), rows.ravel(), first * CONSTANTS, float)
-    put(pool.light_ws, np.asarray(light_ws, np.float32).reshape(1, 4), at, wp.vec4)
-    put(pool.weight, np.array([weight], np.float32), at, float)
-    put(pool.layers, np.array([len(views)], np.int32), at, int)
-
-
 @wp.func
 def texel_depth(pool: MapPool, layer: int, row: int, column: int) -> float:
     """Depth in a texel of a layer."""
     return pool.depth[layer, (row >> 2) * pool.tiles + (column >> 2)][((row & 3) << 2) + (column & 3)]
-
-
-@wp.kernel
-def store_tiles(
-    first: int,
-    drawn: wp.array2d(dtype=float),
-    columns: int,
-    nearest: wp.array(dtype=float),
-    layer: int,
-    pool: MapPool,
-):
-    """Copies squares of an image into layers of a pool, a tile a cell of a grid (tiles, tiles, squares).
-
-    Args:
-        first: Tile offset. drawn: Squares of the pool's resolution, row by row. columns: How many in a row.
-        nearest: 0 for a square that holds depths; else the depth z0 of the keys 1 - z0 / z that it holds.
-        layer: Of the first square; the others follow. pool: Written to.
-    """
-    row, column, square = wp.tid()
-    line = first + row
-    least = nearest[square]
-    left = (square % columns) * pool.resolution
-    top = (square // columns) * pool.resolution
-    tile = TexelTile()
-    for i in range(TILE):
-        for j in range(TILE):
-            y = TILE * line + i
-            x = TILE * column + j
-            depth = float(wp.inf)
-            if y < pool.resolution and x < pool.resolution:
-                depth = drawn[top + y, left + x]
-                if least > 0.0 and depth < 1.0:
-                    depth = least / (1.0 - depth)
-            tile[i * TILE + j] = depth
-    pool.depth[layer + square, line * pool.tiles + column] = tile
-
-
-@wp.kernel
-def store_tiles_lanes(
-    first: int,
-    drawn: wp.array(dtype=Floats),
-    pitch: int,
-    columns: int,
-    nearest: wp.array(dtype=float),
-    layer: int,
-    tiles: int,
-    depth_out: wp.array(dtype=Floats),
-):
-    """``store_tiles``, four tiles side by side a cell, where squares are a multiple of 16 wide; both images in runs."""
-    row, column, square = wp.tid()
-    line = first + row
-    least = nearest[square]
-    left = (square % columns) * tiles * TILE
-    top = (square // columns) * tiles * TILE
-    begin = (top + TILE * line) * pitch + left + LANES * column
-    a = drawn[begin]
-    b = drawn[begin + pitch]
-    c = drawn[begin + 2 * pitch]
-    d = drawn[begin + 3 * pitch]
-    for k in range(LANES):
-        a[k] = wp.where(least > 0.0, wp.where(a[k] < 1.0, least / (1.0 - a[k]), a[k]), a[k])
-        b[k] = wp.where(least > 0.0, wp.where(b[k] < 1.0, least / (1.0 - b[k]), b[k]), b[k])
-        c[k] = wp.where(least > 0.0, wp.where(c[k] < 1.0, least / (1.0 - c[k]), c[k]), c[k])
-        d[k] = wp.where(least > 0.0, wp.where(d[k] < 1.0, least / (1.0 - d[k]), d[k]), d[k])
-    at = ((layer + square) * tiles + line) * tiles * TILE * TILE + LANES * TILE * column
-    for tile in range(4):
-        out = Floats(
-            a[4 * tile], a[4 * tile + 1], a[4 * tile + 2], a[4 * tile + 3],
-            b[4 * tile], b[4 * tile + 1], b[4 * tile + 2], b[4 * tile + 3],
-            c[4 * tile], c[4 * tile + 1], c[4 * tile + 2], c[4 * tile + 3],
-            d[4 * tile], d[4 * tile + 1], d[4 * tile + 2], d[4 * tile + 3],
-        )  # fmt: skip
-        depth_out[at + LANES * tile] = out
-
-
-def store_layers(
-    drawn: wp.array, columns: int, nearest: wp.array, layer: int, pool: MapPool, threads: int | None
-) -> None:
-    """Copies as many squares of an image as ``nearest`` has entries into a pool; arguments as for ``store_tiles``."""
-    device, squares = str(drawn.device), len(nearest)
-    if uses_lanes(device) and pool.resolution % int(LANES) == 0:
-        inputs = [runs_of(drawn, Floats), drawn.shape[1], columns, nearest, layer, pool.tiles]
-        grid = (pool.tiles, pool.resolution // int(LANES), squares)
-        launch(store_tiles_lanes, grid, inputs, [runs_of(pool.depth, Floats)], device=device, threads=threads)
-    else:
-        inputs = [drawn, columns, nearest, layer, pool]
-        launch(store_tiles, (pool.tiles, pool.tiles, squares), inputs, device=device, threads=threads)
 
 
 @wp.func
@@ -290,5 +160,4 @@ def map_test(pool: MapPool, m: int, bias: Bias, casts: int, position_ws: wp.vec3
             stored = texel_depth(pool, layer, row, column)
             if depth > stored:
                 result.tau = 1.0
-                result.rise = wp.clamp(1.0 - stored / z, 0.0, 1.0)
     return result

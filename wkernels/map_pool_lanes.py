@@ -4,22 +4,11 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.gbuffer import PADDING, GBuffer
-from wkernels.geometry import CASTS, RECEIVES
-from wkernels.lanes import LANES, Floats, Ints, Vectors, flat_floats, runs_of
+from wkernels.geometry import CASTS
+from wkernels.history_lanes import PointRun
+from wkernels.lanes import LANES, Floats, Ints, flat_floats
 from wkernels.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL, BIAS_SLOPE, ROUNDING, Bias
 from wkernels.map_pool import CONSTANTS, EDGE_ON, TILE, MapPool
-
-
-@wp.struct
-class PointViews:
-    """Views of a G-buffer's images; they own no memory and must not outlive it."""
-
-    width: int
-    flags: wp.array(dtype=Ints)
-    position_ws: wp.array(dtype=Vectors)
-    normal_ws: wp.array(dtype=Vectors)
-    eye_depth: wp.array(dtype=Floats)
 
 
 @wp.struct
@@ -31,36 +20,11 @@ class PoolViews:
 
 
 @wp.struct
-class PointLanes:
-    """What a run's pixels see; nothing of use where nothing receives."""
-
-    receives: Ints
-    casts: Ints
-    x: Floats
-    y: Floats
-    z: Floats
-    normal_x: Floats
-    normal_y: Floats
-    normal_z: Floats
-
-
-@wp.struct
 class TestLanes:
     """``PoolTest`` of each lane."""
 
     holds: Floats
     tau: Floats
-
-
-def point_views(gbuffer: GBuffer) -> PointViews:
-    """Views of a G-buffer, on the CPU."""
-    out = PointViews()
-    out.width = gbuffer.flags.shape[1]
-    out.flags = runs_of(gbuffer.flags, Ints, PADDING)
-    out.position_ws = runs_of(gbuffer.position_ws, Vectors, 3 * PADDING)
-    out.normal_ws = runs_of(gbuffer.normal_ws, Vectors, 3 * PADDING)
-    out.eye_depth = runs_of(gbuffer.depth, Floats, PADDING)
-    return out
 
 
 def pool_views(pool: MapPool) -> PoolViews:
@@ -71,43 +35,17 @@ def pool_views(pool: MapPool) -> PoolViews:
 
 
 @wp.func
-def load_points(views: PointViews, begin: int):
-    """The points of the run that begins at a pixel."""
-    flags = views.flags[begin]
-    position = views.position_ws[3 * begin]
-    normal = views.normal_ws[3 * begin]
-    receives = Ints(0)
+def casting_run(flags: Ints):
+    """1 in lanes whose surface casts, else 0."""
     casts = Ints(0)
-    px = Floats(0.0)
-    py = Floats(0.0)
-    pz = Floats(0.0)
-    nx = Floats(0.0)
-    ny = Floats(0.0)
-    nz = Floats(0.0)
     for k in range(LANES):
-        receives[k] = wp.where((flags[k] & RECEIVES) != 0, 1, 0)
         casts[k] = wp.where((flags[k] & CASTS) != 0, 1, 0)
-        px[k] = position[3 * k]
-        py[k] = position[3 * k + 1]
-        pz[k] = position[3 * k + 2]
-        nx[k] = normal[3 * k]
-        ny[k] = normal[3 * k + 1]
-        nz[k] = normal[3 * k + 2]
-    out = PointLanes()
-    out.receives = receives
-    out.casts = casts
-    out.x = px
-    out.y = py
-    out.z = pz
-    out.normal_x = nx
-    out.normal_y = ny
-    out.normal_z = nz
-    return out
+    return casts
 
 
 @wp.func
-def pool_test_run(pool: MapPool, views: PoolViews, m: int, bias: Bias, points: PointLanes, casting: int):
-    """``map_test`` of each lane; with ``casting`` 0 no surface hides itself by being turned away."""
+def pool_test_run(pool: MapPool, views: PoolViews, m: int, bias: Bias, points: PointRun, casts: Ints):
+    """``map_test`` of each lane that receives, ``casts`` of each."""
     px = points.x
     py = points.y
     pz = points.z
@@ -115,7 +53,6 @@ def pool_test_run(pool: MapPool, views: PoolViews, m: int, bias: Bias, points: P
     ny = points.normal_y
     nz = points.normal_z
     receives = points.receives
-    casts = points.casts
     light = pool.light_ws[m]
     l_x, l_y, l_z, l_w = light[0], light[1], light[2], light[3]
     depth = views.depth
@@ -126,7 +63,7 @@ def pool_test_run(pool: MapPool, views: PoolViews, m: int, bias: Bias, points: P
     per_slope = wp.where(bias.kind == BIAS_SLOPE, bias.slope / size, 0.0)
     holds = Floats(0.0)
     tau = Floats(0.0)
-    if casting != 0:
+    if wp.max(casts) > 0:
         for k in range(LANES):
             facing = nx[k] * (l_x - px[k] * l_w) + ny[k] * (l_y - py[k] * l_w) + nz[k] * (l_z - pz[k] * l_w)
             turned = wp.where(facing <= 0.0, casts[k] * receives[k], 0)

@@ -15,7 +15,8 @@ from wkernels.geometry import Bounds
 from wkernels.launch import launch
 from wkernels.light_views import scene_views
 from wkernels.lights import Light, orthonormal_frame
-from wkernels.map_pool import CONSTANTS, MapPool, allocate_pool, draw_into_pool, layer_constants, store_layers
+from wkernels.map_pool import CONSTANTS, MapPool, allocate_pool, layer_constants
+from wkernels.map_pool_drawing import PoolPainter, store_layers
 from wkernels.pool_update import MoverReach
 from wkernels.raster import Rasteriser
 from wkernels.views import HostView, View
@@ -160,10 +161,10 @@ class MoverMaps:
         layers = max(len(own) for own in views)
         if self.pool.slots < layers:
             self.pool = allocate_pool(len(self.pool.layers), layers, self.resolution, self.device)
-        drawn = wp.empty((self.resolution, self.resolution), dtype=float, device=self.device)
         casters = self.points, self.indices
+        painter = PoolPainter(casters, self.resolution, self.device, self.threads, culls=False)
         for i, own in enumerate(views):
-            draw_into_pool(self.pool, i, own, points_of_light[i], 1.0, casters, self._rasteriser, cull, drawn)
+            painter.draw(self.pool, i, own, points_of_light[i], 1.0, cull)
         return self.pool
 
     def _copies(self, count: int, rows: int) -> tuple[wp.array, wp.array, wp.array]:

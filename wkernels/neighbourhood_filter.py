@@ -55,6 +55,32 @@ def pixels_per_length(view: View, depth: float) -> float:
     return 1.0 / wp.max(wp.length(view.base_dx_ws + depth * view.along_dx_ws), 1.0e-30)
 
 
+@wp.func
+def add_neighbours(
+    x: int,
+    y: int,
+    gbuffer: GBuffer,
+    psi: wp.array2d(dtype=float),
+    half_width_px: float,
+    taps: wp.array(dtype=wp.vec2),
+    depth_range: float,
+    sums: wp.vec2,
+) -> wp.vec2:
+    """(Sum of psi, number) with the pixels added whose taps fall on a receiver at about the depth of pixel (x, y)."""
+    total = sums[0]
+    count = sums[1]
+    depth = gbuffer.depth[y, x]
+    for i in range(taps.shape[0]):
+        column = int(wp.round(float(x) + half_width_px * taps[i][0]))
+        line = int(wp.round(float(y) + half_width_px * taps[i][1]))
+        if column >= 0 and line >= 0 and column < psi.shape[1] and line < psi.shape[0]:
+            if (gbuffer.flags[line, column] & RECEIVES) != 0:
+                if wp.abs(gbuffer.depth[line, column] - depth) < depth_range * depth:
+                    total += psi[line, column]
+                    count += 1.0
+    return wp.vec2(total, count)
+
+
 @wp.kernel
 def filter_neighbourhood(
     first: int,
@@ -83,17 +109,8 @@ def filter_neighbourhood(
     total = psi[y, x]
     half_width = half_width_px[y, x]
     if half_width >= 0.5:
-        count = float(1.0)
-        depth = gbuffer.depth[y, x]
-        for i in range(taps.shape[0]):
-            column = int(wp.round(float(x) + half_width * taps[i][0]))
-            line = int(wp.round(float(y) + half_width * taps[i][1]))
-            if column >= 0 and line >= 0 and column < psi.shape[1] and line < psi.shape[0]:
-                if (gbuffer.flags[line, column] & RECEIVES) != 0:
-                    if wp.abs(gbuffer.depth[line, column] - depth) < depth_range * depth:
-                        total += psi[line, column]
-                        count += 1.0
-        total = total / count
+        sums = add_neighbours(x, y, gbuffer, psi, half_width, taps, depth_range, wp.vec2(total, 1.0))
+        total = sums[0] / sums[1]
     visibility_out[y, x] = 1.0 - total
 
 

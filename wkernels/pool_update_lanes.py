@@ -5,12 +5,13 @@ from __future__ import annotations
 import warp as wp
 
 from wkernels.carried_history import CODES, FARTHEST, STEPS
-from wkernels.geometry import MOVES
+from wkernels.history_lanes import PointRun, points_of_run
 from wkernels.lanes import LANES, Floats, Ints
 from wkernels.light_map import Bias
 from wkernels.map_pool import MapPool
-from wkernels.map_pool_lanes import PointLanes, PointViews, PoolViews, load_points, pool_test_run
+from wkernels.map_pool_lanes import PoolViews, casting_run, pool_test_run
 from wkernels.pool_update import PRIOR, MoverReach, PoolSteps, map_at
+from wkernels.receiver_lanes import LaneViews
 from wkernels.shadow_buffer import EDGE_ON
 from wkernels.views import View
 
@@ -26,9 +27,7 @@ class SumLanes:
 
 
 @wp.func
-def fetch_lanes(
-    previous: wp.array(dtype=float), view: View, points: PointLanes, wanted: Ints, epsilon: float
-):  # fmt: skip
+def fetch_lanes(previous: wp.array(dtype=float), view: View, points: PointRun, wanted: Ints, epsilon: float):
     """``fetch_sums`` of the lanes that are wanted (1); ``previous`` flat (4 H W,)."""
     px = points.x
     py = points.y
@@ -108,7 +107,8 @@ def fetch_lanes(
 @wp.kernel
 def update_sums_lanes(
     first: int,
-    points_of: PointViews,
+    views: LaneViews,
+    eye_depth: wp.array(dtype=Floats),
     maps_of: PoolViews,
     pool: MapPool,
     steps: PoolSteps,
@@ -122,14 +122,12 @@ def update_sums_lanes(
     row, column = wp.tid()
     y = first + row
     x0 = column * LANES
-    begin = y * points_of.width + x0
-    points = load_points(points_of, begin)
-    flags = points_of.flags[begin]
-    depths = points_of.eye_depth[begin]
+    begin = y * views.width + x0
+    points = points_of_run(views, eye_depth, x0, y)
+    casts = casting_run(views.flags[begin])
+    depths = eye_depth[begin]
     receives = points.receives
-    stays = Ints(0)
-    for k in range(LANES):
-        stays[k] = wp.where((flags[k] & MOVES) != 0, 0, receives[k])
+    stays = receives - points.moves
     sums = SumLanes()
     if steps.has_history != 0:
         sums = fetch_lanes(previous, previous_view, points, stays, steps.depth_epsilon)
@@ -145,7 +143,7 @@ def update_sums_lanes(
     more_n = Floats(0.0)
     for i in range(most):
         m = map_at(i, steps)
-        found = pool_test_run(pool, maps_of, m, steps.bias, points, 1)
+        found = pool_test_run(pool, maps_of, m, steps.bias, points, casts)
         weight = pool.weight[m]
         holds = found.holds
         tau = found.tau
@@ -188,7 +186,7 @@ def update_sums_lanes(
 
 
 @wp.func
-def reached_lanes(reach: MoverReach, points: PointLanes):
+def reached_lanes(reach: MoverReach, points: PointRun):
     """``may_reach`` of the lanes that receive, as 0 and 1."""
     px = points.x
     py = points.y
@@ -222,7 +220,8 @@ def reached_lanes(reach: MoverReach, points: PointLanes):
 @wp.kernel
 def add_movers_lanes(
     first: int,
-    points_of: PointViews,
+    views: LaneViews,
+    eye_depth: wp.array(dtype=Floats),
     maps_of: PoolViews,
     movers_of: PoolViews,
     pool: MapPool,
@@ -237,7 +236,8 @@ def add_movers_lanes(
     row, column = wp.tid()
     y = first + row
     x0 = column * LANES
-    points = load_points(points_of, y * points_of.width + x0)
+    points = points_of_run(views, eye_depth, x0, y)
+    casts = casting_run(views.flags[y * views.width + x0])
     within = reached_lanes(reach, points)
     if wp.max(within) == 0:
         return
@@ -248,14 +248,14 @@ def add_movers_lanes(
     for m in range(maps):
         weight = pool.weight[m]
         total += weight
-        found = pool_test_run(movers, movers_of, m, bias, points, 0)
+        found = pool_test_run(movers, movers_of, m, bias, points, Ints(0))
         tau = found.tau
         met = int(0)
         for k in range(LANES):
             met += int(tau[k])
         if met > 0:
             touched += 1
-            still = pool_test_run(pool, maps_of, m, bias, points, 1)
+            still = pool_test_run(pool, maps_of, m, bias, points, casts)
             open_ = still.tau
             for k in range(LANES):
                 hidden[k] = hidden[k] + weight * tau[k] * (1.0 - open_[k])

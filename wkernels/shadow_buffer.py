@@ -2,7 +2,8 @@
 
 Sources: Scherzer et al. 2009, sections 3.2 and 4; Schwaerzler 2009, section 5.2. A texel holds rho, n, the linear eye
 depth and the mean blocker depth. The last two are kept as shares, of the far plane and of the receiver's own depth
-from the light: every light sample measures depth from its own origin, and float16 overflows at 65504 scene units.
+from the light: every light sample measures depth from its own origin, and float16 overflows at 65504 scene units. The
+sign of the eye depth tags a shadow that a moving caster cast (Schwaerzler 2009, section 5.2.5).
 """
 
 from __future__ import annotations
@@ -11,16 +12,18 @@ from typing import Any
 
 import warp as wp
 
-from wkernels.estimators import FLOAT16_LIMIT, FLOAT32_LIMIT
+from wkernels.estimators import FLOAT16_LIMIT, FLOAT32_LIMIT, UNLIMITED
 from wkernels.gbuffer import GBuffer, is_back_lit
 from wkernels.light_map import Bias, LightMap, Receiver, locate_receiver, stored_depth, to_light
 from wkernels.reprojection import accept_absolute, is_inside, reproject
 from wkernels.views import View, pixel_along_ws, pixel_base_ws
 
-BILINEAR, NEAREST = 256.0, 1.0
+BILINEAR, NEAREST, LINEAR = 256.0, 1.0, 0.0
 """Steps a texel for ``fetch_record``. With the nearest texel history sticks to the screen under an eye that moves by
-less than half a pixel a frame; at 0.3 pixels and 64 frames that makes the error of a penumbra five times larger."""
+less than half a pixel a frame; at 0.3 pixels and 64 frames that makes the error of a penumbra five times larger. None
+at all stands for ``fetch_linear``."""
 
+NO_BLOCKER = wp.constant(-1.0e6)  # blocker depth that stands for none in the published shader, for ``fetch_linear``
 EDGE_ON = wp.constant(1.0e-3)  # a plane seen at a smaller sine of the angle tells nothing about the next pixel's depth
 
 
@@ -32,6 +35,7 @@ class ShadowRecord:
     n: float  # sum of their weights; 0: nothing is known
     depth: float  # linear eye depth, scene units
     blocker_rise: float  # 1 - z_b / z_r: how much nearer to the light the mean blocker is; 0: none was met
+    of_mover: int  # 1: a caster that moves cast some of the shadow in rho
 
 
 @wp.struct
@@ -56,11 +60,13 @@ TEXEL_TYPES: dict[str, type] = {"float32": wp.vec4, "float16": wp.vec4h}
 """Texel type by the name of its format."""
 
 
-def storage_of(format: str) -> Storage:
-    """Limits of a format, a key of ``TEXEL_TYPES``."""
+def storage_of(format: str, cap: bool = True) -> Storage:
+    """Limits of a format, a key of ``TEXEL_TYPES``; without ``cap`` n grows until the format sticks, as published."""
     out = Storage()
     half = format == "float16"
     out.limit, out.rounding = (FLOAT16_LIMIT, 2.0**-11) if half else (FLOAT32_LIMIT, 2.0**-24)
+    if not cap:
+        out.limit = UNLIMITED
     return out
 
 
@@ -83,15 +89,17 @@ def read_record(texels: wp.array2d(dtype=Any), y: int, x: int, far: float) -> Sh
     result = ShadowRecord()
     result.rho = float(texel[0])
     result.n = float(texel[1])
-    result.depth = float(texel[2]) * far
+    result.depth = wp.abs(float(texel[2])) * far
     result.blocker_rise = float(texel[3])
+    result.of_mover = wp.where(float(texel[2]) < 0.0, 1, 0)
     return result
 
 
 @wp.func
 def write_record(texels: wp.array2d(dtype=Any), y: int, x: int, record: ShadowRecord, far: float):
     """Stores a pixel's history for the next frame."""
-    put(texels, y, x, wp.vec4(record.rho, record.n, record.depth / far, record.blocker_rise))
+    tag = wp.where(record.of_mover != 0, -1.0, 1.0)
+    put(texels, y, x, wp.vec4(record.rho, record.n, tag * record.depth / far, record.blocker_rise))
 
 
 @wp.func
@@ -138,7 +146,7 @@ def held_record(
     normal_ws: wp.vec3,
     depth: float,
     epsilon: float,
-    rounding: float,
+    relative: float,
 ) -> ShadowRecord:
     """The record of one texel if the receiver's surface was seen there, else n = 0; arguments as for ``fetch_record``.
 
@@ -149,7 +157,7 @@ def held_record(
     if x >= 0 and y >= 0 and x < view.width and y < view.height:
         held = read_record(previous, y, x, view.far)
         expected = depth_on_plane(view, float(x) + 0.5, float(y) + 0.5, position_ws, normal_ws, depth)
-        if accept_absolute(expected, held.depth, epsilon + rounding * held.depth):
+        if accept_absolute(expected, held.depth, epsilon + relative * held.depth):
             result = held
     return result
 
@@ -161,23 +169,24 @@ def fetch_record(
     position_ws: wp.vec3,
     normal_ws: wp.vec3,
     epsilon: float,
-    rounding: float,
+    relative: float,
     texel_steps: float,
 ) -> ShadowRecord:
     """History of a receiver point, from the texels around the place where the previous frame saw it.
 
     Of the four texels of a bilinear fetch only those count that saw the same surface and hold something: each is
-    tested by its own depth, so that nothing is mixed with another surface or with a texel that knows nothing.
+    tested by its own depth, so that nothing is mixed with another surface or with a texel that knows nothing. Nor are
+    shadows of moving casters mixed with others: what there is more of is taken.
 
     Args:
         previous: Texels of the previous frame, written for ``previous_view``. previous_view: The eye's view then.
-        position_ws: The point, rebased world. normal_ws: Its unit normal. epsilon: Scene units. rounding: Relative
-        error of stored depths, ``Storage.rounding``, granted on top of ``epsilon``. texel_steps: To how many steps a
-        texel the place is rounded: ``BILINEAR`` as in texture units, so that a still eye
-            hits texel centres exactly, or ``NEAREST``.
+        position_ws: The point, rebased world. normal_ws: Its unit normal. epsilon: Largest difference of depth, scene
+            units. relative: The same as a share of the stored depth (equation 5.18 of Schwaerzler 2009), added to it;
+            ``Storage.rounding`` at least. texel_steps: To how many steps a texel the place is rounded: ``BILINEAR`` as
+            in texture units, so that a still eye hits texel centres exactly, or ``NEAREST``.
 
     Returns:
-        The record; n = 0 where the point is new.
+        The record, without its depth; n = 0 where the point is new.
     """
     result = ShadowRecord()
     at = reproject(previous_view, position_ws)
@@ -188,27 +197,73 @@ def fetch_record(
         row = int(wp.floor(y))
         share_x = x - wp.floor(x)
         share_y = y - wp.floor(y)
-        total = float(0.0)
-        known_rise = float(0.0)
+        # of shadows that stand still, and of movers'
+        total = wp.vec2()
+        known = wp.vec2()
+        rho = wp.vec2()
+        n = wp.vec2()
+        rise = wp.vec2()
         for dy in range(2):
             for dx in range(2):
                 share = wp.where(dx == 1, share_x, 1.0 - share_x) * wp.where(dy == 1, share_y, 1.0 - share_y)
                 held = ShadowRecord()
                 if share > 0.0:
                     held = held_record(
-                        previous, previous_view, column + dx, row + dy, position_ws, normal_ws, at[2], epsilon, rounding
+                        previous, previous_view, column + dx, row + dy, position_ws, normal_ws, at[2], epsilon, relative
                     )
                 if held.n > 0.0:
-                    total += share
-                    result.rho += share * held.rho
-                    result.n += share * held.n
+                    tag = held.of_mover
+                    total[tag] = total[tag] + share
+                    rho[tag] = rho[tag] + share * held.rho
+                    n[tag] = n[tag] + share * held.n
                     if held.blocker_rise > 0.0:
-                        known_rise += share
-                        result.blocker_rise += share * held.blocker_rise
-        if total > 0.0:
-            result.rho = result.rho / total
-            result.n = result.n / total
-            result.blocker_rise = result.blocker_rise / wp.max(known_rise, 1.0e-6)
+                        known[tag] = known[tag] + share
+                        rise[tag] = rise[tag] + share * held.blocker_rise
+        tag = wp.where(total[1] > total[0], 1, 0)
+        if total[tag] > 0.0:
+            result.rho = rho[tag] / total[tag]
+            result.n = n[tag] / total[tag]
+            result.blocker_rise = rise[tag] / wp.max(known[tag], 1.0e-6)
+            result.of_mover = tag
+    return result
+
+
+@wp.func
+def fetch_linear(
+    previous: wp.array2d(dtype=Any), previous_view: View, position_ws: wp.vec3, epsilon: float, relative: float
+) -> ShadowRecord:
+    """History of a receiver point as a texture unit interpolates it (Schwaerzler 2009, appendix A); for study.
+
+    All four texels are mixed before the depth test, tags and sentinels with them: beside a shadow of a moving caster
+    depths of both signs cancel and the point counts as new; one neighbour without a blocker takes the others' away;
+    slanted ground is tested by the point's own depth. Arguments and result as for ``fetch_record``.
+    """
+    result = ShadowRecord()
+    at = reproject(previous_view, position_ws)
+    if is_inside(previous_view, at[0], at[1]):
+        x = wp.clamp(at[0] - 0.5, 0.0, float(previous_view.width - 1))
+        y = wp.clamp(at[1] - 0.5, 0.0, float(previous_view.height - 1))
+        column = int(x)
+        row = int(y)
+        share_x = x - float(column)
+        share_y = y - float(row)
+        depth = float(0.0)
+        blocker = float(0.0)
+        for dy in range(2):
+            for dx in range(2):
+                share = wp.where(dx == 1, share_x, 1.0 - share_x) * wp.where(dy == 1, share_y, 1.0 - share_y)
+                texel_x = wp.min(column + dx, previous_view.width - 1)
+                texel_y = wp.min(row + dy, previous_view.height - 1)
+                held = read_record(previous, texel_y, texel_x, previous_view.far)
+                result.rho += share * held.rho
+                result.n += share * held.n
+                depth += share * wp.where(held.of_mover != 0, -held.depth, held.depth)
+                blocker += share * wp.where(held.blocker_rise > 0.0, 1.0 - held.blocker_rise, NO_BLOCKER)
+        result.of_mover = wp.where(depth < 0.0, 1, 0)
+        if blocker >= 0.0:
+            result.blocker_rise = 1.0 - blocker
+        if not accept_absolute(at[2], wp.abs(depth), epsilon + relative * wp.abs(depth)):
+            result = ShadowRecord()
     return result
 
 
@@ -221,7 +276,8 @@ def refine_blocker(rise: float, new_rise: float, known: float) -> float:
     Args:
         rise: Mean so far, 0 for none.
         new_rise: The new blocker's.
-        known: Samples behind ``rise``: shadowed tests so far plus taps of the first search.
+        known: Samples behind ``rise``: shadowed tests so far plus taps of the first search. With all tests, shadowed
+            or not, this is the published recursion, which holds on to its first blockers for too long.
     """
     result = new_rise
     if rise > 0.0:

@@ -1,8 +1,8 @@
 """``shadow_buffer_update`` for a run of pixels at a time; see ``receiver_lanes.py`` for how such code is written.
 
 The lanes do what nearly every pixel needs: the hard test, the history's four texels each with its depth test, the
-sums, the error and the filter's width. A start by percentage-closer soft shadows, which only pixels without history
-need, is left to the plain function, one pixel at a time.
+sums, the error and the filter's width. What few pixels need is left to the plain function, one pixel at a time: a start
+that searches, the end of a moving caster's shadow, surfaces whose motion is followed.
 """
 
 from __future__ import annotations
@@ -17,7 +17,13 @@ from wkernels.lanes import LANES, Floats, Ints
 from wkernels.layer_lanes import to_layers
 from wkernels.light_map import LightMap
 from wkernels.receiver_lanes import LaneViews, locate_run
-from wkernels.shadow_buffer_update import FULL_WIDTH_ERROR, UpdateSettings, update_pixel
+from wkernels.shadow_buffer_update import (
+    DISOCCLUDE,
+    FULL_WIDTH_ERROR,
+    START_SAMPLE,
+    UpdateSettings,
+    update_pixel,
+)
 from wkernels.views import View
 
 
@@ -97,26 +103,31 @@ def update_shadow_buffer_lanes(
     if settings.has_history != 0:
         places = place_run(previous_view, points, wanted, settings.texel_steps)
         history = fetch_run(
-            flat_previous, previous_view, points, places, settings.depth_epsilon, settings.storage.rounding
+            flat_previous, previous_view, points, places, settings.depth_epsilon, settings.relative_epsilon
         )
     rho = history.rho
     n = history.n
     rises = history.blocker_rise
-    starts = Ints(0)
-    new_pixels = int(0)
+    of_mover = history.of_mover
+    on_mover = points.moves
+    alone = Ints(0)  # pixels for the plain function
+    alone_count = int(0)
     smoothed = int(0)
     psi = Floats(0.0)
     error = Floats(0.0)
     first_blockers = settings.first_blockers
+    counts_tests = settings.counts_tests
     weight = settings.weight
     limit = settings.storage.limit
-    starts_with_pcss = settings.starts_with_pcss
+    searches = wp.where(settings.start != START_SAMPLE, 1, 0)
+    follows = wp.where(settings.followed_samples > 0.0, 1, 0)
     threshold = wp.where(settings.smooths != 0, settings.error_threshold, 2.0)  # no error is larger than 1
+    least_samples = wp.where(settings.smooths != 0, settings.least_samples, 0.0)
     for k in range(LANES):
-        start = wp.where(n[k] <= 0.0, receives[k] * starts_with_pcss, 0)
-        starts[k] = start
-        new_pixels += start
-        known = rho[k] + first_blockers
+        start = wp.where(n[k] <= 0.0, receives[k] * searches, 0)
+        alone[k] = start | of_mover[k] | (on_mover[k] * follows)
+        alone_count += alone[k]
+        known = wp.where(counts_tests != 0, n[k], rho[k]) + first_blockers
         refined = wp.where(rises[k] > 0.0, (new_rise[k] + rises[k] * known) / (known + 1.0), new_rise[k])
         rises[k] = wp.where(new_rise[k] > 0.0, refined, rises[k])
         scale = wp.where(n[k] + weight > limit, 0.5, 1.0)
@@ -127,7 +138,8 @@ def update_shadow_buffer_lanes(
         deviation = wp.sqrt(wp.where(n[k] > 1.5, variance, 1.0))
         psi[k] = wp.where(receives[k] != 0, share, 0.0)
         error[k] = wp.where(receives[k] != 0, deviation, 0.0)
-        smoothed += wp.where(error[k] > threshold, wp.where(rises[k] > 0.0, 1, 0), 0)
+        uncertain = wp.where(error[k] > threshold, receives[k], wp.where(n[k] < least_samples, receives[k], 0))
+        smoothed += wp.where(rises[k] > 0.0, uncertain, 0)
 
     half_width = Floats(0.0)
     eye_depths = points.depth
@@ -138,7 +150,7 @@ def update_shadow_buffer_lanes(
         base_x, base_y, base_z = base[0], base[1], base[2]
         along_x, along_y, along_z = along[0], along[1], along[2]
         is_point = footprint.is_point
-        size = 0.5 * settings.light_size
+        size = settings.half_widths * settings.light_size
         narrows = settings.narrows
         for k in range(LANES):
             blocker = light_depth[k] * (1.0 - rises[k])
@@ -150,20 +162,23 @@ def update_shadow_buffer_lanes(
             s_z = base_z + eye_depths[k] * along_z
             pixels = size * ratio / wp.max(wp.sqrt(s_x * s_x + s_y * s_y + s_z * s_z), 1.0e-30)
             narrow = wp.where(narrows != 0, wp.min(1.0, error[k] / FULL_WIDTH_ERROR), 1.0)
-            asks = wp.where(error[k] > threshold, wp.where(rises[k] > 0.0, 1, 0), 0)
+            uncertain = wp.where(error[k] > threshold, receives[k], wp.where(n[k] < least_samples, receives[k], 0))
+            asks = wp.where(rises[k] > 0.0, uncertain, 0)
             half_width[k] = wp.where(asks != 0, pixels * narrow, 0.0)
 
     far = gbuffer.view.far
+    drops = wp.where(settings.movers == DISOCCLUDE, 1, 0)
     for k in range(held):
-        keeps = wp.where(moves[k] != 0, 0.0, float(receives[k]))
+        keeps = wp.where((moves[k] & drops) != 0, 0.0, float(receives[k]))
+        tag = wp.where(wp.where(keeps > 0.0, moves[k], 0) != 0, -1.0, 1.0)
         rise = rises[k] * float(receives[k])
-        current_out[y, x0 + k] = wp.vec4(rho[k] * keeps, n[k] * keeps, eye_depths[k] / far, rise)
+        current_out[y, x0 + k] = wp.vec4(rho[k] * keeps, n[k] * keeps, tag * eye_depths[k] / far, rise)
         psi_out[y, x0 + k] = psi[k]
         error_out[y, x0 + k] = error[k]
         half_width_out[y, x0 + k] = half_width[k]
-    if new_pixels > 0:
+    if alone_count > 0:
         for k in range(held):
-            if starts[k] != 0:
+            if alone[k] != 0:
                 update_pixel(
                     x0 + k,
                     y,

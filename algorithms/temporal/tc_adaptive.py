@@ -41,7 +41,8 @@ maps go out of date and ``draws`` are drawn in every frame. A scene whose caster
 
 from __future__ import annotations
 
-from typing import Literal
+from dataclasses import replace
+from typing import ClassVar, Literal
 
 import numpy as np
 import warp as wp
@@ -49,13 +50,14 @@ import warp as wp
 from algorithms.composition import Composition
 from algorithms.technique import Limit, MapParams, Needs, Technique, setting
 from wkernels.frame import Session as Frame
-from wkernels.gbuffer import GBuffer
+from wkernels.gbuffer import PADDING, GBuffer
 from wkernels.kept_maps import KeptMaps, Schedule
-from wkernels.lanes import flat_floats, runs_per_row, uses_lanes
-from wkernels.map_pool_lanes import point_views, pool_views
+from wkernels.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
+from wkernels.map_pool_lanes import pool_views
 from wkernels.mover_maps import MoverMaps, mover_reach
 from wkernels.pool_update import PoolSteps, add_movers, update_sums
 from wkernels.pool_update_lanes import add_movers_lanes, update_sums_lanes
+from wkernels.receiver_lanes import lane_views
 
 NO_LIMIT = 2.0**22  # a quarter of where whole numbers in float32 stop being exact
 
@@ -67,6 +69,9 @@ class TcAdaptive(Technique):
     family = "temporal"
     paper = ("scherzer2009tc",)
     needs = Needs(area=True, history=True)
+    stability_limits: ClassVar[dict[str, str]] = {
+        "light_place": "no texel falls on a receiver in whose plane the light lies"
+    }
     bias_sign = "none"
     limits = (
         Limit(
@@ -88,7 +93,12 @@ class TcAdaptive(Technique):
             "halton", "point set on the light", unit="name", source="Scherzer 2009, sec. 4"
         )
         draws: int = setting(
-            2, "maps drawn per frame until the pool is full", unit="maps per frame", source="measured", ge=1, le=4096
+            2,
+            "layers of maps drawn per frame until the pool is full; the first frame completes a map",
+            unit="layers per frame",
+            source="measured",
+            ge=1,
+            le=4096,
         )
         tests: int = setting(
             4, "maps that a pixel is tested against", unit="tests per frame", source="measured", ge=1, le=4096
@@ -135,28 +145,27 @@ class TcAdaptive(Technique):
 
         # 1: maps
         seen = frame.geometry.version, bytes(np.array(gbuffer.view.ws_to_ss, dtype=np.float32))
-        follows_eye = isinstance(frame.projection, Composition)
-        plan = kept.schedule(frame, seen, p.draws, p.tests, follows_eye)
-        finished = plan.refines and kept.still_frames(frame) >= p.still_samples
-        if finished and frame.leave_out("light depth maps and tests", "the view has stood still for all samples"):
-            wp.copy(history.current, history.previous)
-            return visibility
-        if len(plan.draws) and not finished and not kept.draw(frame, plan.draws, p.sample_set, p.cull):
-            plan = kept.schedule(frame, seen, p.draws, p.tests, follows_eye)
-            kept.draw(frame, plan.draws, p.sample_set, p.cull)
+        wanted = frame, seen, p.draws, p.tests, isinstance(frame.projection, Composition)
+        plan = kept.schedule(*wanted)
+        if plan.refines and kept.still_frames(frame) >= p.still_samples:
+            if frame.leave_out("light depth maps and tests", "the view has stood still for all samples"):
+                wp.copy(history.current, history.previous)
+                return visibility
+            plan = replace(plan, draws=(), added=0)
+        while not kept.draw(frame, plan.draws, p.sample_set, p.cull):  # a map has more layers than there was room for
+            plan = kept.schedule(*wanted)
 
         # 2: tests of what stands still, added to what each pixel already knows
-        steps = self._steps(frame, kept, plan, history.valid, finished)
-        lanes, runs = uses_lanes(frame.device), (shape[0], runs_per_row(shape[1]))
+        steps = self._steps(frame, kept, plan, history.valid)
+        in_lanes, runs = uses_lanes(frame.device), (shape[0], runs_per_row(shape[1]))
         with frame.timed("tests"):
-            previous_view = history.previous_view or gbuffer.view
+            inputs = [kept.pool, steps, history.previous_view or gbuffer.view]
             outputs = [history.current, visibility, error]
-            if lanes:
-                inputs = [point_views(gbuffer), pool_views(kept.pool), kept.pool, steps, previous_view]
-                frame.launch(update_sums_lanes, runs, [*inputs, flat_floats(history.previous)], outputs)
+            if in_lanes:
+                views = [lane_views(gbuffer), runs_of(gbuffer.depth, Floats, PADDING), pool_views(kept.pool)]
+                frame.launch(update_sums_lanes, runs, [*views, *inputs, flat_floats(history.previous)], outputs)
             else:
-                inputs = [gbuffer, kept.pool, steps, previous_view, history.previous]
-                frame.launch(update_sums, shape, inputs, outputs)
+                frame.launch(update_sums, shape, [gbuffer, *inputs, history.previous], outputs)
 
         # 3: movers
         if frame.geometry.moving or not frame.leave_out("maps of moving casters", "nothing moves"):
@@ -184,26 +193,25 @@ class TcAdaptive(Technique):
             inputs = [kept.pool, movers, maps, p.device_bias, mover_reach(frame.light, box)]
             outputs = [visibility, error]
             if uses_lanes(frame.device):
-                views = [point_views(gbuffer), pool_views(kept.pool), pool_views(movers)]
+                views = [lane_views(gbuffer), runs_of(gbuffer.depth, Floats, PADDING)]
+                views += [pool_views(kept.pool), pool_views(movers)]
                 runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
                 frame.launch(add_movers_lanes, runs, [*views, *inputs], outputs)
             else:
                 frame.launch(add_movers, visibility.shape, [gbuffer, *inputs], outputs)
 
-    def _steps(self, frame: Frame, kept: KeptMaps, plan: Schedule, has_history: bool, finished: bool) -> PoolSteps:
+    def _steps(self, frame: Frame, kept: KeptMaps, plan: Schedule, has_history: bool) -> PoolSteps:
         p = self.params
         out = PoolSteps()
         out.bias, out.filled, out.head = p.device_bias, plan.filled, plan.head
-        out.tests = p.tests
-        out.new_tests, out.clip = p.new_tests, p.clip
-        out.limit = float(plan.filled)
+        out.tests, out.new_tests = p.tests, p.new_tests
+        out.clip, out.limit = p.clip, float(plan.filled)
         if kept.still_frames(frame) > 0:  # nothing drifts: every map counts once
             out.clip = 0.0
             if plan.fills:
-                out.tests = len(plan.draws)
+                out.tests = plan.added
         if plan.refines:
-            out.tests = 0 if finished else len(plan.draws)
-            out.limit = NO_LIMIT
+            out.tests, out.limit = plan.added, NO_LIMIT
         out.has_history = int(has_history)
         out.depth_epsilon = p.depth_epsilon * frame.reach
         return out

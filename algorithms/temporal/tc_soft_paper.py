@@ -25,34 +25,31 @@ Deviations, where the paper is silent or wrong:
   slanted ground; the range itself is that of Schwaerzler 2009.
 - Equation 7 counts frames, but only frames with a blocker add to its sum: shadowed samples are counted.
 - n stops at 2048 in the published float16 buffer while rho goes on: ``buffer: float16`` halves both at 1024 (float32
-  at 2^22).
+  at 2^22). ``cap: false`` leaves that out: a psi of 0.3 reaches 1 near frame 6800.
 - Under a mover's shadow the sums of a frame are shown, not stored, nor is a start whose blocker search met a mover: the
-  next frame starts anew, so that nothing trails.
+  next frame starts anew, so that nothing trails. ``movers`` has the ways of Schwaerzler 2009 besides, and none at all.
 
 Known artefacts: noise and flicker while n is small and where moving and static penumbrae overlap; SE = 0 is false
 certainty where all tests agree so far; the filter blurs penumbrae that are still above t;
 history blurs a little with every frame in which the eye moves, and lags on surfaces that move by less than epsilon a
-frame, as points are followed by the camera's motion alone.
+frame, as points are followed by the camera's motion alone unless ``mover_surfaces`` is ``own_motion``.
 """
 
 from __future__ import annotations
 
 from typing import ClassVar, Literal
 
-import numpy as np
 import warp as wp
 from pydantic import field_validator
 
-from algorithms.technique import Limit, MapParams, Needs, Technique, setting
-from wkernels.filtering import check_tap_count, pull_footprint, pull_taps
+from algorithms.shadow_buffer_params import ShadowBufferParams
+from algorithms.technique import Limit, Needs, Technique, setting
+from wkernels.filtering import check_tap_count, pull_taps
 from wkernels.frame import Session as Frame
-from wkernels.gbuffer import PADDING
-from wkernels.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
+from wkernels.lanes import flat_floats, runs_per_row, uses_lanes
 from wkernels.neighbourhood_filter import filter_neighbourhood, filter_neighbourhood_lanes, pull_opposite_taps
-from wkernels.receiver_lanes import lane_views
-from wkernels.shadow_buffer import BILINEAR, NEAREST, TEXEL_TYPES, storage_of
-from wkernels.shadow_buffer_lanes import update_shadow_buffer_lanes
-from wkernels.shadow_buffer_update import UPDATE, UpdateSettings
+from wkernels.shadow_buffer_step import add_sample, begin_step
+from wkernels.shadow_buffer_update import START_PCSS, START_SAMPLE
 
 
 class TcSoftPaper(Technique):
@@ -75,12 +72,9 @@ class TcSoftPaper(Technique):
         ),
     )
 
-    class Params(MapParams):
+    class Params(ShadowBufferParams):
         """Start, filter and storage of the shadow buffer."""
 
-        sample_set: Literal["halton", "r2", "poisson_disc", "random"] = setting(
-            "halton", "point set on the light", unit="name", source="Scherzer 2009, sec. 4"
-        )
         start: Literal["pcss", "sample"] = setting(
             "pcss",
             "what a new point starts from: soft shadows of one map, or its hard test",
@@ -101,7 +95,6 @@ class TcSoftPaper(Technique):
         filter_taps: int = setting(
             16, "taps of the start's filter, a square number", unit="taps", source="sec. 4", ge=1, le=4096
         )
-        filter: bool = setting(True, "smooth what is shown while its error is large", unit="yes/no", source="sec. 3.3")
         taps: int = setting(
             16,
             "taps of that neighbourhood filter, in pairs",
@@ -120,27 +113,11 @@ class TcSoftPaper(Technique):
         error_threshold: float = setting(
             0.02, "t: standard error down to which pixels are smoothed", unit="1", source="sec. 4", ge=0.0, le=1.0
         )
-        filter_depth_range: float = setting(
-            0.015,
-            "largest depth difference of smoothed neighbours",
-            unit="eye depths",
-            source="Schwaerzler 2009",
-            gt=0.0,
-            le=1.0,
-        )
         depth_epsilon: float = setting(
             1e-4, "largest depth difference of a point and its history", unit="scene diagonals", gt=0.0, le=1.0
         )
         history: Literal["bilinear", "nearest"] = setting(
             "bilinear", "how the shadow buffer of the last frame is read", unit="name"
-        )
-        overscan: float = setting(
-            0.05,
-            "how much larger than the frame the shadow buffer is",
-            unit="frame sizes",
-            source="sec. 4",
-            ge=0.0,
-            le=1.0,
         )
         buffer: Literal["float32", "float16"] = setting(
             "float32", "texel format of the shadow buffer; published: float16", unit="name", source="sec. 4"
@@ -160,36 +137,24 @@ class TcSoftPaper(Technique):
         if frame.nothing_casts(visibility):
             error.zero_()
             return visibility
-        texel = TEXEL_TYPES[p.buffer]
-        history = frame.history(
-            "shadow buffer", lambda: wp.zeros(shape, dtype=texel, device=frame.device), frame.margin(p.overscan)
+        step, settings = begin_step(frame, gbuffer, p)
+
+        # a start by soft shadows of the frame's map
+        settings.start, settings.start_weight = int(START_PCSS if p.start == "pcss" else START_SAMPLE), p.start_weight
+        settings.blocker_taps, settings.filter_taps = (
+            pull_taps(frame, "box", n) for n in (p.blocker_taps, p.filter_taps)
         )
-        psi, half_width = (frame.buffer(name, shape, wp.float32) for name in ("psi", "half filter width"))
+        settings.first_blockers = float(p.blocker_taps) if p.start == "pcss" else 0.0
+        settings.depth_epsilon = p.depth_epsilon * frame.reach
+        settings.smooths, settings.error_threshold = int(p.filter), p.error_threshold
+        settings.narrows = int(p.filter_width == "error")
 
-        # 1: one map from the next point of the light
-        has_movers = frame.geometry.moving or not frame.leave_out("tags of moving casters", "nothing moves")
-        sample = frame.light_samples(1, p.sample_set, start=frame.count)
-        light_map = frame.light_map(
-            p.resolution, sample.host[0], slot="sample of the frame", cull=p.cull, tag_moving_casters=has_movers
-        )
+        # its test, added to what each point already knows
+        add_sample(frame, step, settings, p)
 
-        # 2: its test, added to what each point already knows
-        settings = self._settings(frame, float(sample.weights_host[0]), history.valid, has_movers)
-        with frame.timed("shadow buffer"):
-            inputs = [gbuffer, light_map, pull_footprint(frame, light_map), settings]
-            inputs += [history.previous_view or gbuffer.view, history.previous]
-            outputs = [history.current, psi, error, half_width]
-            if uses_lanes(frame.device) and p.buffer == "float32":
-                flat = [lane_views(gbuffer, light_map), runs_of(gbuffer.depth, Floats, PADDING)]
-                flat.append(flat_floats(history.previous))
-                runs = (shape[0], runs_per_row(shape[1]))
-                frame.launch(update_shadow_buffer_lanes, runs, [*flat, *inputs], outputs)
-            else:
-                frame.launch(UPDATE[texel], shape, inputs, outputs)
-
-        # 3: smoothed where that is still uncertain
+        # smoothed where that is still uncertain
         with frame.timed("neighbourhood filter"):
-            filtered = [psi, half_width]
+            filtered = [step.psi, step.half_width]
             options = [pull_opposite_taps(frame, p.taps), p.filter_depth_range]
             if uses_lanes(frame.device):
                 images = [gbuffer.flags.flatten(), *(flat_floats(image) for image in (gbuffer.depth, *filtered))]
@@ -198,18 +163,3 @@ class TcSoftPaper(Technique):
             else:
                 frame.launch(filter_neighbourhood, shape, [gbuffer, *filtered, *options], [visibility])
         return visibility
-
-    def _settings(self, frame: Frame, weight: float, has_history: bool, has_movers: bool) -> UpdateSettings:
-        p = self.params
-        out = UpdateSettings()
-        out.bias, out.storage, out.weight = p.device_bias, storage_of(p.buffer), weight
-        out.light_size = 2.0 * np.tan(0.5 * frame.light.size) if frame.light.is_directional else frame.light.size
-        out.has_history, out.has_movers = int(has_history), int(has_movers)
-        out.starts_with_pcss, out.start_weight = int(p.start == "pcss"), p.start_weight
-        out.blocker_taps, out.filter_taps = (pull_taps(frame, "box", n) for n in (p.blocker_taps, p.filter_taps))
-        out.first_blockers = float(p.blocker_taps) if p.start == "pcss" else 0.0
-        out.depth_epsilon = p.depth_epsilon * frame.reach
-        out.texel_steps = BILINEAR if p.history == "bilinear" else NEAREST
-        out.smooths, out.error_threshold = int(p.filter), p.error_threshold
-        out.narrows = int(p.filter_width == "error")
-        return out

@@ -15,6 +15,7 @@ from algorithms.composition import compose
 from algorithms.plugins import find
 from algorithms.technique import MapParams
 from experiments.scenes.loader import load_scene
+from wkernels import shadow_buffer_step
 from wkernels.frame import Session
 from wkernels.gbuffer import GBuffer, is_back_lit
 from wkernels.geometry import RECEIVES, Geometry
@@ -268,14 +269,26 @@ def test_lanes_do_not_depend_on_threads(name: str) -> None:
 # ---- over time ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("params", [{}, {"start": "sample"}, {"history": "nearest", "filter_width": "penumbra"}])
+OVER_TIME: list[tuple[str, dict[str, Any]]] = [
+    ("tc_soft_paper", {}),
+    ("tc_soft_paper", {"start": "sample"}),
+    ("tc_soft_paper", {"history": "nearest", "filter_width": "penumbra"}),
+    ("tc_soft_paper", {"movers": "gradual", "start_weight": 4.0, "mover_surfaces": "own_motion"}),
+    ("tc_soft_paper", {"movers": "at_once", "start": "sample"}),
+    ("tc_soft_thesis", {}),
+    ("tc_soft_thesis", {"start": "blur", "blocker_mean": "frames", "mover_surfaces": "own_motion"}),
+    ("tc_soft_thesis", {"start": "blur", "movers": "at_once", "kernel": "poisson", "zero_blur": "rejected"}),
+]
+
+
+@pytest.mark.parametrize(("name", "params"), OVER_TIME)
 @pytest.mark.parametrize("scene", ["overlap", "moving_blocker"])
 def test_a_shadow_buffer_in_lanes_remembers_what_the_plain_one_does(
-    scene: str, params: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    scene: str, name: str, params: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Along a path with movers, disocclusion and history at fractions of a pixel."""
-    plugin = find("tc_soft_paper")
-    module = sys.modules[plugin.__module__]
+    plugin = find(name)
+    modules = (sys.modules[plugin.__module__], shadow_buffer_step)
     loaded = load_scene(f"configs/scenes/{scene}.yaml")
     running = {lanes: session(loaded, 150, 84) for lanes in (False, True)}
     technique = plugin(plugin.Params(resolution=256, **params))
@@ -283,7 +296,8 @@ def test_a_shadow_buffer_in_lanes_remembers_what_the_plain_one_does(
     for frame in range(0, 60, 4):
         made = {}
         for lanes, own in running.items():
-            monkeypatch.setattr(module, "uses_lanes", lambda device, lanes=lanes: lanes)
+            for module in modules:
+                monkeypatch.setattr(module, "uses_lanes", lambda device, lanes=lanes: lanes)
             own.begin(frame)
             made[lanes] = own.render(technique)
             own.advance()

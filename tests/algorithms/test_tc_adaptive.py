@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 from dataclasses import replace
 from typing import Any
@@ -24,10 +25,10 @@ from wkernels.lanes import uses_lanes
 from wkernels.launch import launch
 from wkernels.light_map import Bias, LightMap, compare_nearest, locate_receiver, to_light
 from wkernels.lights import DiscLight, Light
-from wkernels.map_pool import MapPool, allocate_pool, draw_into_pool, map_test, store_layers, store_tiles
+from wkernels.map_pool import MapPool, allocate_pool, map_test
+from wkernels.map_pool_drawing import PoolPainter, store_layers, store_tiles
 from wkernels.mover_maps import MoverMaps, box_axes, box_view, mover_reach
 from wkernels.pool_update import MoverReach, may_reach
-from wkernels.raster import Rasteriser
 from wkernels.scene import Scene
 
 SIZE = (96, 72)
@@ -138,7 +139,8 @@ def test_a_test_in_a_pool_is_that_of_a_light_map(lamp: str, bias: str, warp: str
     light_map = session.light_map(256, samples.host[1])
     kept = KeptMaps(session, 2, 256)
     # the first call may find that a map takes more layers than there is room for
-    assert kept.draw(session, range(2), "halton", 0) or kept.draw(session, range(2), "halton", 0)
+    both = (0, range(6)), (1, range(6))
+    assert kept.draw(session, both, "halton", 0) or kept.draw(session, both, "halton", 0)
     out = wp.zeros((3, *gbuffer.depth.shape), dtype=float, device=device)
     launch(both_tests, gbuffer.depth.shape, [gbuffer, light_map, kept.pool, params.device_bias], [out], device=device)
     expected, found, holds = out.numpy()
@@ -263,13 +265,12 @@ def test_movers_drawn_at_once_are_those_drawn_apart(device: str) -> None:
     pool = at_once.draw(points, box, 0)
     depth = pool.depth.numpy()
     assert 0.02 < np.isfinite(depth).mean() < 0.95
-    apart, drawn = allocate_pool(5, 1, 64, device), wp.empty((64, 64), dtype=float, device=device)
+    apart = allocate_pool(5, 1, 64, device)
+    painter = PoolPainter((at_once.points, at_once.indices), 64, device, None, culls=False)
     for i in range(5):
         view = box_view(points[i], box.corners, box_axes(points[0], box.corners), 64)
         assert view is not None
-        draw_into_pool(
-            apart, i, [view], points[i], 1.0, (at_once.points, at_once.indices), Rasteriser(device), 0, drawn
-        )
+        painter.draw(apart, i, [view], points[i], 1.0, 0)
     expected = apart.depth.numpy()
     both = np.isfinite(depth) & np.isfinite(expected)
     assert (np.isfinite(depth) == np.isfinite(expected)).mean() > 0.995  # vertices are rounded in another frame
@@ -331,6 +332,17 @@ def test_maps_are_drawn_once_where_nothing_moves(device: str) -> None:
     frames = walk(small.box_on_ground(LAMP, path), device, 20, samples=16, draws=2)
     drawn = ["light depth map" in dict(result.passes) for result in frames]
     assert drawn == [True] * 8 + [False] * 12
+
+
+def test_layers_of_a_map_are_spread_over_frames(device: str) -> None:
+    """Six faces, four a frame: the same picture in the end, as a still view counts every map once."""
+    scene = small.cluttered(LIGHTS["six faces"])
+    spread = walk(scene, device, 6, samples=4, draws=4)
+    at_once = walk(scene, device, 1, samples=4, draws=24)[0].visibility
+    changes = [rmse(b.visibility, a.visibility) > 0.0 for a, b in itertools.pairwise(spread)]
+    # maps are complete from frames 0, 2, 3 and 5 on: after 6, 14, 18 and 24 faces
+    assert changes == [False, True, True, False, True], changes
+    np.testing.assert_allclose(spread[-1].visibility, at_once, atol=1e-6)
 
 
 def test_threads_change_nothing(device: str) -> None:

@@ -1,0 +1,65 @@
+"""Parameters of every technique that keeps a shadow buffer: light samples, storage, moving objects."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from algorithms.technique import MapParams, setting
+
+Movers = Literal["disocclude", "at_once", "gradual", "ignore"]
+
+
+class ShadowBufferParams(MapParams):
+    """What ``wkernels.shadow_buffer_step`` reads."""
+
+    sample_set: Literal["halton", "r2", "poisson_disc", "random"] = setting(
+        "halton", "point set on the light", unit="name", source="Scherzer 2009, sec. 4"
+    )
+    filter: bool = setting(
+        True, "smooth what is shown while its error is large", unit="yes/no", source="Scherzer 2009, sec. 3.3"
+    )
+    filter_depth_range: float = setting(
+        0.015,
+        "largest depth difference of smoothed neighbours",
+        unit="eye depths",
+        source="Schwaerzler 2009, app. A",
+        gt=0.0,
+        le=1.0,
+    )
+    overscan: float = setting(
+        0.05,
+        "how much larger than the frame the shadow buffer is",
+        unit="frame sizes",
+        source="Scherzer 2009, sec. 4",
+        ge=0.0,
+        le=1.0,
+    )
+    cap: bool = setting(
+        True,
+        "halve both sums before n leaves what the texel format counts exactly; published: no, which drifts in float16",
+        unit="yes/no",
+    )
+    movers: Movers = setting(
+        "disocclude",
+        "shadows of moving casters: every frame starts anew and stores nothing; stored and dropped at once when they "
+        "leave; faded out from there on; or treated as any other",
+        unit="name",
+        source="Scherzer 2009, sec. 3.4; Schwaerzler 2009, sec. 5.2.5, app. A",
+    )
+    mover_decrement: float = setting(
+        1.0,
+        "by how much n falls a frame where a mover's shadow fades out, the frame's own test counted",
+        unit="samples",
+        source="Schwaerzler 2009, eq. 5.16",
+        gt=0.0,
+        le=1e6,
+    )
+    mover_surfaces: Literal["camera", "own_motion"] = setting(
+        "camera",
+        "where surfaces that move look for their history: where the eye saw the place, or the point itself; "
+        "published: camera",
+        unit="name",
+    )
+    mover_samples: float = setting(
+        16.0, "largest n on surfaces that are followed by their own motion", unit="samples", ge=1.0, le=1e6
+    )
