@@ -351,7 +351,10 @@ def test_threads_change_nothing(device: str) -> None:
     np.testing.assert_array_equal(images[0], images[1])
 
 
-@pytest.mark.parametrize("projection", [{"fit": "focused"}, {"fit": "focused", "splits": 3}])
+@pytest.mark.parametrize(
+    "projection",
+    [{"fit": "focused"}, {"fit": "focused", "splits": 3}, {"fit": "focused", "depth": "tight", "near": "auto"}],
+)
 def test_projections_that_follow_the_eye(projection: dict[str, Any], device: str) -> None:
     def path(frame: int) -> Any:
         return small.camera((0.1 * frame, 6.0, 8.0))
