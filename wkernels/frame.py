@@ -324,6 +324,15 @@ class Session:
         box = self.geometry.bounds(casters=True, receivers=True)
         return 1.0 if box.empty else 1.01 * float(np.linalg.norm(box.high - box.low)) + 1e-6
 
+    def look_from_light(
+        self, light_ws: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int
+    ) -> list[HostView]:
+        """The projection's views from a light sample (4,), rebased world, of these boxes, one per layer of a map."""
+        views = self.projection(light_ws, receivers, casters, resolution, self.near_plane.eye(self, receivers))
+        for what, reason in getattr(self.projection, "left_out", ()):
+            self.record(what, reason)
+        return views
+
     def light_map(
         self,
         resolution: int,
@@ -352,9 +361,7 @@ class Session:
         if receivers.empty:  # no meshes at all: any view will do
             receivers = Bounds()
             receivers.add(np.zeros((1, 3)))
-        views = self.projection(sample, receivers, casters, resolution, self.near_plane.eye(self, receivers))
-        for what, reason in getattr(self.projection, "left_out", ()):
-            self.record(what, reason)
+        views = self.look_from_light(sample, receivers, casters, resolution)
         if jitter is not None:
             views = [jittered_view(view, jitter) for view in views]
         shown = light_ws is None or self.light_views is None

@@ -144,13 +144,32 @@ class Geometry:
         if moved:
             self._update_normals()
 
-    def bounds(self, *, casters: bool = False, receivers: bool = False) -> Bounds:
-        """Box of the casting or receiving meshes (or both) at the current frame, rebased world."""
+    def bounds(self, *, casters: bool = False, receivers: bool = False, moving: bool | None = None) -> Bounds:
+        """Box of the casting or receiving meshes (or both) at the current frame, rebased world.
+
+        ``moving`` keeps those that move (True) or stand still (False); None both.
+        """
         box = Bounds()
         for mesh, own in zip(self.meshes, self._boxes, strict=True):
+            if moving is not None and mesh.moving != moving:
+                continue
             if ((casters and mesh.casts) or (receivers and mesh.receives)) and not own.empty:
                 box.add(np.stack([own.low, own.high]))
         return box
+
+    def casters(self, *, moving: bool) -> tuple[wp.array, wp.array]:
+        """The casting triangles of the meshes that move, or of those that stand still.
+
+        Returns:
+            Vertices, vec3 (V,), a view of ``points_ws`` that follows it, and int32 (3 T,) indices into them.
+        """
+        chosen = [i for i, mesh in enumerate(self.meshes) if mesh.casts and mesh.moving == moving and len(mesh.faces)]
+        if not chosen:
+            return self.points_ws, wp.empty(0, dtype=wp.int32, device=self.device)
+        region = slice(int(self._ranges[chosen[0]].start), int(self._ranges[chosen[-1]].stop))
+        faces = [self.meshes[i].faces + (self._ranges[i].start - region.start) for i in chosen]
+        indices = np.ascontiguousarray(np.concatenate(faces).ravel(), dtype=np.int32)
+        return self.points_ws[region], wp.array(indices, dtype=wp.int32, device=self.device)
 
     def _update_normals(self) -> None:
         launch(

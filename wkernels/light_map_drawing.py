@@ -106,12 +106,12 @@ def draw_light_map(
     out.ws_to_ls = wp.array(matrices, dtype=wp.mat44, device=device)
     out.right_ws, out.up_ws = axes("right_ws"), axes("up_ws")
     out.layers, out.resolution = layers, resolution
-    out.light_ws, out.near = wp.vec4(*light_ws), max(views[0].near, _clamps(views)[0])
+    out.light_ws, out.near = wp.vec4(*light_ws), max(views[0].near, clamps_of(views)[0])
     _choose_layers(out, views, device)
     device_views = [view.to_device() for view in views]
     images = layer_images(out.depth, layout)
     owner = None if triangle is None else triangle[:, :resolution]
-    clamps = _clamps(views)
+    clamps = clamps_of(views)
 
     def finish(layer: int) -> None:
         if owner is not None:
@@ -191,8 +191,9 @@ class CasterBlocks:
 def views_stamp(views: Sequence[HostView]) -> tuple[bytes, tuple]:
     """What a map's content depends on of its views, comparable."""
     choices = tuple(view.choice for view in views if isinstance(view, ProjectiveView))
-    return np.stack([view.ws_to_ss for view in views]).tobytes(), (choices, _clamps(views))
+    return np.stack([view.ws_to_ss for view in views]).tobytes(), (choices, clamps_of(views))
 
 
-def _clamps(views: Sequence[HostView]) -> tuple[float, ...]:
+def clamps_of(views: Sequence[HostView]) -> tuple[float, ...]:
+    """For each view the linear depth that nearer casters are moved to; 0 where they keep their own."""
     return tuple(view.clamped_before if isinstance(view, ProjectiveView) else 0.0 for view in views)

@@ -17,7 +17,7 @@ from wkernels.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL, BIAS_SLOPE
 
 @wp.struct
 class LaneViews:
-    """Views of a G-buffer and a light map; they own no memory and must not outlive either."""
+    """Views of a G-buffer and a light map, if there is one; they own no memory and must not outlive either."""
 
     width: int
     flags: wp.array(dtype=Ints)  # a run from every pixel on
@@ -47,14 +47,15 @@ class ReceiverRun:
     density_y: Floats
 
 
-def lane_views(gbuffer: GBuffer, light_map: LightMap) -> LaneViews:
+def lane_views(gbuffer: GBuffer, light_map: LightMap | None = None) -> LaneViews:
     """Views of what lane kernels read, on the CPU."""
     out = LaneViews()
     out.width = gbuffer.flags.shape[1]
     out.flags = runs_of(gbuffer.flags, Ints, PADDING)
     out.position_ws = runs_of(gbuffer.position_ws, Vectors, 3 * PADDING)
     out.normal_ws = runs_of(gbuffer.normal_ws, Vectors, 3 * PADDING)
-    out.depth = flat_floats(light_map.depth)
+    if light_map is not None:
+        out.depth = flat_floats(light_map.depth)
     return out
 
 

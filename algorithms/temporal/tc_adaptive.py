@@ -1,0 +1,217 @@
+"""Soft shadows from light depth maps that are kept, not drawn anew: our own, after Scherzer et al. 2009.
+
+Scherzer, Schwaerzler, Mattausch and Wimmer 2009 draw one map a frame from the next point of the light and remember in
+screen space what it said. Measured on the walkthroughs here (docs/tc_adaptive.md), a fifth to two fifths of a frame go
+into a map that is thrown away, and the error that is left has other causes than few samples: while the eye moves 39 to
+77 % of the squared error lie where n > 16, and grow with the age of interpolated history; shadows of movers, which
+start anew in every frame, have 17 to 51 %. So here
+
+1. maps of the casters that stand still are kept, a pool of ``samples`` points of the light (Halton), drawn ``draws`` a
+   frame until it is full. A frame then draws none, and a pixel that is new to the eye is tested against ``new_tests``
+   maps at once: no start by another method, and a cut costs nothing more once the pool is full;
+2. a pixel is tested against ``tests`` maps a frame, the pool's in turn. Sums rho and n (equations 1, 2 and 5) are
+   remembered up to n = ``samples``, and under a moving eye clipped to ``clip`` standard errors round what the frame's
+   own tests say;
+3. history is carried, not interpolated (``carried_history``): a pixel takes over one texel of the last frame whole and
+   remembers how far off its place is. Without that it sticks to the screen under a slow eye (four times the error at
+   0.3 pixels a frame);
+4. movers have maps of their own, ``mover_maps`` small ones that hold nothing else, drawn in one go in every frame from
+   points of the light that the pool has too. What they hide of the light, where the pool's map of the same point finds
+   it open, is taken from the visibility of what stands still. History never sees a mover: nothing trails and nothing
+   starts anew;
+5. a view that stands still goes on: once its pixels have met every map, a new point of the light replaces an old one
+   in each frame, and the error goes on falling, as n^-0.6 where that was measured. After ``still_samples`` frames
+   nothing is done any more.
+
+The standard error is that of the Beta distribution with Jeffreys' prior (half a test of either outcome), as equation
+3, sqrt(psi (1 - psi) / (n - 1)), is 0 where all tests agree so far: false certainty for 44 % of pixels with psi = .05
+at n = 16. As samples are low-discrepancy it is two to three times too large on a still view.
+
+Deviations from Scherzer et al. 2009: all of the above, and no overscan (a pixel at the border is as cheap as any new
+one), no start by percentage-closer soft shadows, no filter for show. Their depth test of history is kept.
+Layers of a map are chosen by the first that holds a point; a point that a map does not hold is not counted.
+
+Known artefacts: the first ``samples`` / ``draws`` frames after the start draw maps, so that they take up to three times
+as long as later ones, and the first two have steps; noise where pixels have just come into view; ``mover_maps`` + 1
+levels in the shadow of a mover; the maps' own aliasing, which different points average but do not remove; memory, 4
+``samples`` ``resolution``^2 bytes, for which fewer maps are kept beyond 512 MiB. With projections that follow the eye
+maps go out of date and ``draws`` are drawn in every frame. A scene whose casters all move has the cost of drawing them
+``mover_maps`` times a frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import ClassVar, Literal
+
+import numpy as np
+import warp as wp
+
+from algorithms.composition import Composition
+from algorithms.technique import Limit, MapParams, Needs, Technique, setting
+from wkernels.frame import Session as Frame
+from wkernels.gbuffer import PADDING, GBuffer
+from wkernels.kept_maps import KeptMaps, Schedule
+from wkernels.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
+from wkernels.map_pool_lanes import pool_views
+from wkernels.mover_maps import MoverMaps, mover_reach
+from wkernels.pool_update import PoolSteps, add_movers, update_sums
+from wkernels.pool_update_lanes import add_movers_lanes, update_sums_lanes
+from wkernels.receiver_lanes import lane_views
+
+NO_LIMIT = 2.0**22  # a quarter of where whole numbers in float32 stop being exact
+
+
+class TcAdaptive(Technique):
+    """Kept maps, carried history, and movers apart."""
+
+    name = "tc_adaptive"
+    family = "temporal"
+    paper = ("scherzer2009tc",)
+    needs = Needs(area=True, history=True)
+    stability_limits: ClassVar[dict[str, str]] = {
+        "light_place": "no texel falls on a receiver in whose plane the light lies"
+    }
+    bias_sign = "none"
+    limits = (
+        Limit(
+            equals="multi_shadow_map",
+            params={"samples": 16, "draws": 16, "new_tests": 16},
+            other_params={"samples": 16},
+            tolerance=1e-5,
+            flips=0.005,
+        ),
+    )
+
+    class Params(MapParams):
+        """The pool, how often it is read, and the movers' maps."""
+
+        samples: int = setting(
+            16, "points of the light, and maps that are kept", unit="maps", source="measured", ge=1, le=4096
+        )
+        sample_set: Literal["halton", "r2", "poisson_disc", "random"] = setting(
+            "halton", "point set on the light", unit="name", source="Scherzer 2009, sec. 4"
+        )
+        draws: int = setting(
+            2,
+            "layers of maps drawn per frame until the pool is full; the first frame completes a map",
+            unit="layers per frame",
+            source="measured",
+            ge=1,
+            le=4096,
+        )
+        tests: int = setting(
+            4, "maps that a pixel is tested against", unit="tests per frame", source="measured", ge=1, le=4096
+        )
+        new_tests: int = setting(
+            4, "the same of a pixel without history", unit="tests per frame", source="measured", ge=1, le=4096
+        )
+        clip: float = setting(
+            2.0,
+            "how far history may differ from a frame's own tests under a moving eye; 0: not clipped",
+            unit="standard errors",
+            source="measured",
+            ge=0.0,
+            le=100.0,
+        )
+        mover_maps: int = setting(6, "maps of moving casters", unit="maps per frame", source="measured", ge=1, le=1024)
+        mover_resolution: int = setting(
+            128, "texels per side of those maps", unit="texels", source="measured", ge=8, le=2048
+        )
+        still_samples: int = setting(
+            1024,
+            "frames for which a still view goes on, with a point of the light in each",
+            unit="frames",
+            ge=0,
+            le=10**6,
+        )
+        depth_epsilon: float = setting(
+            1e-4, "largest depth difference of a point and its history", unit="scene diagonals", gt=0.0, le=1.0
+        )
+
+    def render(self, frame: Frame) -> wp.array:
+        p = self.params
+        gbuffer = frame.gbuffer()
+        visibility = frame.visibility_buffer(gbuffer)
+        shape = visibility.shape
+        error = frame.standard_error = frame.buffer("standard error", shape, wp.float32)
+        if frame.nothing_casts(visibility):
+            error.zero_()
+            return visibility
+        kept: KeptMaps = frame.product(
+            "maps", "kept maps", (), lambda old: old or KeptMaps(frame, p.samples, p.resolution)
+        )
+        history = frame.history("carried", lambda: wp.zeros(shape, dtype=wp.vec4, device=frame.device))
+
+        # 1: maps
+        seen = frame.geometry.version, bytes(np.array(gbuffer.view.ws_to_ss, dtype=np.float32))
+        wanted = frame, seen, p.draws, p.tests, isinstance(frame.projection, Composition)
+        plan = kept.schedule(*wanted)
+        if plan.refines and kept.still_frames(frame) >= p.still_samples:
+            if frame.leave_out("light depth maps and tests", "the view has stood still for all samples"):
+                wp.copy(history.current, history.previous)
+                return visibility
+            plan = replace(plan, draws=(), added=0)
+        while not kept.draw(frame, plan.draws, p.sample_set, p.cull):  # a map has more layers than there was room for
+            plan = kept.schedule(*wanted)
+
+        # 2: tests of what stands still, added to what each pixel already knows
+        steps = self._steps(frame, kept, plan, history.valid)
+        in_lanes, runs = uses_lanes(frame.device), (shape[0], runs_per_row(shape[1]))
+        with frame.timed("tests"):
+            inputs = [kept.pool, steps, history.previous_view or gbuffer.view]
+            outputs = [history.current, visibility, error]
+            if in_lanes:
+                views = [lane_views(gbuffer), runs_of(gbuffer.depth, Floats, PADDING), pool_views(kept.pool)]
+                frame.launch(update_sums_lanes, runs, [*views, *inputs, flat_floats(history.previous)], outputs)
+            else:
+                frame.launch(update_sums, shape, [gbuffer, *inputs, history.previous], outputs)
+
+        # 3: movers
+        if frame.geometry.moving or not frame.leave_out("maps of moving casters", "nothing moves"):
+            self._add_movers(frame, gbuffer, kept, plan.filled, visibility, error)
+        return visibility
+
+    def _add_movers(
+        self, frame: Frame, gbuffer: GBuffer, kept: KeptMaps, filled: int, visibility: wp.array, error: wp.array
+    ) -> None:
+        p = self.params
+        box = frame.geometry.bounds(casters=True, moving=True)
+        if box.empty:
+            return
+        maps = min(p.mover_maps, filled)
+        points = kept.points[:maps]
+
+        def draw(old: MoverMaps | None) -> MoverMaps:
+            made = old or MoverMaps(frame, p.mover_maps, p.mover_resolution)
+            made.draw(points, box, p.cull)
+            return made
+
+        shown = frame.geometry.version, points.tobytes()
+        movers = frame.product("mover maps", "mover maps", shown, draw).pool
+        with frame.timed("mover tests"):
+            inputs = [kept.pool, movers, maps, p.device_bias, mover_reach(frame.light, box)]
+            outputs = [visibility, error]
+            if uses_lanes(frame.device):
+                views = [lane_views(gbuffer), runs_of(gbuffer.depth, Floats, PADDING)]
+                views += [pool_views(kept.pool), pool_views(movers)]
+                runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
+                frame.launch(add_movers_lanes, runs, [*views, *inputs], outputs)
+            else:
+                frame.launch(add_movers, visibility.shape, [gbuffer, *inputs], outputs)
+
+    def _steps(self, frame: Frame, kept: KeptMaps, plan: Schedule, has_history: bool) -> PoolSteps:
+        p = self.params
+        out = PoolSteps()
+        out.bias, out.filled, out.head = p.device_bias, plan.filled, plan.head
+        out.tests, out.new_tests = p.tests, p.new_tests
+        out.clip, out.limit = p.clip, float(plan.filled)
+        if kept.still_frames(frame) > 0:  # nothing drifts: every map counts once
+            out.clip = 0.0
+            if plan.fills:
+                out.tests = plan.added
+        if plan.refines:
+            out.tests, out.limit = plan.added, NO_LIMIT
+        out.has_history = int(has_history)
+        out.depth_epsilon = p.depth_epsilon * frame.reach
+        return out
