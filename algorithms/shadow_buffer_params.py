@@ -34,6 +34,12 @@ class ShadowBufferParams(MapParams):
         ge=0.0,
         le=1.0,
     )
+    turned_away: Literal["dark", "tested"] = setting(
+        "dark",
+        "casting surfaces that the whole light is behind: dark at once, with neither test nor history; published: "
+        "tested",
+        unit="name",
+    )
     cap: bool = setting(
         True,
         "halve both sums before n leaves what the texel format counts exactly; published: no, which drifts in float16",

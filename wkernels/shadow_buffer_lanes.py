@@ -22,6 +22,7 @@ from wkernels.history_lanes import HistoryRun, PointRun, fetch_run, place_run, p
 from wkernels.lanes import LANES, Floats, Ints
 from wkernels.layer_lanes import to_layers
 from wkernels.light_map import LightMap
+from wkernels.own_umbra import own_umbra_run
 from wkernels.receiver_lanes import LaneViews, ReceiverRun, locate_run
 from wkernels.shadow_buffer_update import (
     DISOCCLUDE,
@@ -124,7 +125,10 @@ def update_shadow_buffer_lanes(
     x0 = column * LANES
     held = wp.min(LANES, psi_depth_out.shape[1] - x0)
     points = points_of_run(views, eye_depth, x0, y)
+    own_umbra = own_umbra_run(views, points, x0, y, settings.light_corners)
     receives = points.receives
+    for k in range(LANES):
+        receives[k] = receives[k] - own_umbra[k]
     receivers = locate_run(views, light_map, settings.bias, x0, y)
     layers = receivers.layer
     own = receivers.depth
@@ -219,7 +223,7 @@ def update_shadow_buffer_lanes(
         share = wp.clamp(rho[k] / n[k], 0.0, 1.0)
         variance = wp.max(share * (1.0 - share), 0.0) / wp.max(n[k] - 1.0, 0.5)
         deviation = wp.sqrt(wp.where(n[k] > 1.5, variance, 1.0))
-        psi[k] = wp.where(receives[k] != 0, share, 0.0)
+        psi[k] = wp.where(receives[k] != 0, share, float(own_umbra[k]))
         error[k] = wp.where(receives[k] != 0, deviation, 0.0)
         few = wp.where(n[k] < least_samples, receives[k], estimated * smooths)
         uncertain[k] = wp.where(error[k] > threshold, receives[k], few) * wp.where(rises[k] > 0.0, 1, 0)

@@ -19,6 +19,7 @@ from wkernels.history import History
 from wkernels.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
 from wkernels.light_map import Bias
 from wkernels.mesh_motion import pull_mesh_motion
+from wkernels.own_umbra import pull_light_corners
 from wkernels.receiver_lanes import lane_views
 from wkernels.shadow_buffer import BILINEAR, LINEAR, NEAREST, TEXEL_TYPES, storage_of
 from wkernels.shadow_buffer_lanes import update_shadow_buffer_lanes
@@ -43,6 +44,7 @@ class StepParams(Protocol):
     mover_decrement: float
     mover_surfaces: str
     mover_samples: float
+    turned_away: str
 
     @property
     def device_bias(self) -> Bias: ...
@@ -82,6 +84,8 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
     out = UpdateSettings()
     out.bias, out.storage = p.device_bias, storage_of(p.buffer, p.cap)
     out.light_size = 2.0 * np.tan(0.5 * frame.light.size) if frame.light.is_directional else frame.light.size
+    if p.turned_away == "dark":
+        out.light_corners = pull_light_corners(frame)
     out.has_history = int(history.valid)
     out.has_movers = int(
         p.movers != "ignore"

@@ -24,6 +24,7 @@ from wkernels.gbuffer import GBuffer
 from wkernels.geometry import MOVES, RECEIVES
 from wkernels.light_map import Bias, LightMap, Receiver, locate, receiver_depth_at, stored_depth
 from wkernels.neighbourhood_filter import pixels_per_length
+from wkernels.own_umbra import is_own_umbra
 from wkernels.shadow_buffer import (
     TEXEL_TYPES,
     ShadowRecord,
@@ -54,6 +55,7 @@ class UpdateSettings:
 
     bias: Bias
     storage: Storage
+    light_corners: wp.array(dtype=wp.vec4)  # of its hull: what turns away from all of it is dark at once; none: tested
     weight: float  # of this frame's light sample
     light_size: float  # L: scene units, or 2 tan(angle / 2)
     has_history: int
@@ -147,7 +149,11 @@ def update_pixel(
     psi = float(0.0)
     error = float(0.0)
     half_width = float(0.0)
-    if (gbuffer.flags[y, x] & RECEIVES) != 0:
+    if is_own_umbra(gbuffer, y, x, settings.light_corners):
+        # stores nothing, so that the lit side of an edge takes nothing from here, nor this side from there
+        record.depth = gbuffer.depth[y, x]
+        psi = 1.0
+    elif (gbuffer.flags[y, x] & RECEIVES) != 0:
         position_ws = gbuffer.position_ws[y, x]
 
         test = shadow_test(gbuffer, y, x, light_map, settings.bias)

@@ -23,6 +23,8 @@ the printed form is worth a look:
 - ``blocker_mean``: equation 5.7 counts all frames, where only those with a blocker add to the sum.
 - ``movers``: ``gradual`` is the text's, with Delta net of the frame's own test, or n would stand still at the shader's
   Delta = 1; ``at_once`` is the shader, which drops everything in one frame.
+- ``turned_away``: surfaces behind which the whole light lies are dark at once and take no part in history, which would
+  spread the lit rim of curved casters over them: 9 and 7 % less error along ``overlap`` and ``big_penumbra``.
 - ``history``: ``linear`` is the shader's; it mixes tags and sentinels of four texels. ``bilinear`` tests each texel, on
   the receiver's plane.
 - s_min and s_max are the shader's, 1/50 and 1/5; the text's example has 1/32 and 1/8. The gate is the text's n < 16.
