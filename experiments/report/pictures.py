@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.images import error_colors, read_png, write_jpeg
+from experiments.report.fields import evenly
 from experiments.store import Store, ViewKind
 
 MAX_FRAMES = 3  # a page of eight techniques then stays within a few megabytes
@@ -38,9 +39,7 @@ class PictureFrame:
 
 def picture_frames(store: Store, labels: Sequence[str], wanted: Sequence[int]) -> list[PictureFrame]:
     """Up to ``MAX_FRAMES`` of the frames ``wanted``, evenly spread, with whatever pictures the folder has of them."""
-    wanted = sorted(wanted)
-    count = min(MAX_FRAMES, len(wanted))
-    chosen = [wanted[i] for i in np.unique(np.linspace(0, len(wanted) - 1, count).round().astype(int))] if count else []
+    chosen = evenly(wanted, MAX_FRAMES)
     out = []
     with tempfile.TemporaryDirectory(prefix="wkernels-report-") as folder:
         scratch = Path(folder) / "picture.jpg"
@@ -106,6 +105,12 @@ def error_scale_css() -> tuple[str, list[tuple[float, str]]]:
         (50.0 + 50.0 * float(np.sign(tick) * np.sqrt(abs(tick))), f"{tick:+g}" if tick else "0") for tick in ticks
     ]
     return f"linear-gradient(to right, {', '.join(stops)})", places
+
+
+def jpeg_url(path: Path, max_width: int = MAX_WIDTH) -> str | None:
+    """A stored picture as the data URL of a JPEG of at most that many columns; None where there is none."""
+    with tempfile.TemporaryDirectory(prefix="wkernels-report-") as folder:
+        return _data_url(path, Path(folder) / "picture.jpg", max_width)
 
 
 def _data_url(path: Path, scratch: Path, max_width: int = MAX_WIDTH) -> str | None:
