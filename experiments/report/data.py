@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.images import read_exr, read_png, visibility_view, write_jpeg
-from experiments.metrics import METRICS
+from experiments.metrics import MAP_METRICS, METRICS
 from experiments.report.fields import REFERENCE, FieldFrame, error_palette
 from experiments.report.pictures import jpeg_url
 from experiments.store import Store
@@ -21,15 +21,16 @@ THUMB_WIDTH = 260  # pixels
 TITLES: Mapping[str, tuple[str, str]] = {  # of columns that are no metric: title, unit
     "frame_ms": ("frame time", "ms"),
     "shadow_ms": ("shadow time", "ms"),
-    "frame_ms_ratio": ("frame time, ratio to the baseline", ""),
-    "ratio": ("frame time, ratio to the baseline", ""),
+    "frame_ms_ratio": ("frame time, × baseline", ""),
+    "ratio": ("frame time, × baseline", ""),
+    "shadow_ms_ratio": ("shadow time, × baseline", ""),
     "fps": ("frames per second", ""),
     "m_x_max": ("largest m_x along the view", "texels in pixels"),
     "m_z_max": ("largest m_z along the view", "texels in pixels"),
     "disoccluded": ("disoccluded share of the receivers", ""),
 }
 TIMES = ("frame_ms", "shadow_ms", "frame_ms_ratio", "ratio")
-NO_ERRORS = {"reference_standard_error", "standard_error", "receiver_pixels", "disoccluded", "fps", *TIMES}
+NO_ERRORS = {"reference_standard_error", "standard_error", *MAP_METRICS}  # metrics that measure no error of the picture
 CURVES = ("frame_ms", "shadow_ms", "rmse", "flip", "standard_error", "flicker", "m_x_max")
 
 
@@ -48,6 +49,7 @@ def chart_data(
     details: Mapping[str, Mapping[str, str]] | None = None,
     thumbs: Mapping[str, str] | None = None,
     baseline: str = "",
+    front: Sequence[bool] | None = None,
     indistinct_below: float = float("nan"),
 ) -> dict[str, Any]:
     """Points of the error/time scatter: every label with the numbers of every column that has some.
@@ -58,12 +60,13 @@ def chart_data(
         details: Parameters by label, as texts.
         thumbs: Pictures by label, as data URLs.
         baseline: Label that ratios refer to.
+        front: Whether each row is on the Pareto front of time and RMSE, where that was judged by more than the medians.
         indistinct_below: RMSE below which nothing can be told from the reference.
     """
     numbers = [str(name) for name in table.columns if table[name].dtype.kind == "f" and table[name].notna().any()]
     names = [name for name in numbers if not name.endswith(("_q1", "_q3"))]
     points = []
-    for row in table.to_dict("records"):
+    for i, row in enumerate(table.to_dict("records")):
         values = {}
         for name in names:
             own = [row.get(key, np.nan) for key in (name, f"{name}_q1", f"{name}_q3")]
@@ -75,18 +78,22 @@ def chart_data(
             "technique": str(row["technique"]),
             "values": values,
             "details": dict((details or {}).get(label, {})),
+            "front": None if front is None else front[i],
             "thumb": (thumbs or {}).get(label),
         })  # fmt: skip
     techniques = list(dict.fromkeys(point["technique"] for point in points))
     return {
         "points": points,
         "techniques": techniques,
-        "columns": {name: column_title(name) for name in names},
+        "columns": {name: _named(column_title(name), baseline) for name in names},
         "x": [name for name in TIMES if name in names],
-        "y": [name for name in names if name not in NO_ERRORS and not name.startswith(("m_x", "m_z", "shadow_ms"))],
-        "baseline": baseline,
+        "y": [name for name in names if name in METRICS and name not in NO_ERRORS],
         "floor": {"rmse": indistinct_below},
     }
+
+
+def _named(column: dict[str, str], baseline: str) -> dict[str, str]:
+    return column | {"title": column["title"].replace("baseline", baseline or "baseline")}
 
 
 def curve_data(frames: pd.DataFrame) -> dict[str, Any]:
@@ -113,7 +120,7 @@ def curve_data(frames: pd.DataFrame) -> dict[str, Any]:
 def viewer_data(
     store: Store, labels: Sequence[str], fields: Sequence[FieldFrame], shaded: Sequence[int]
 ) -> dict[str, Any] | None:
-    """What the viewer shows: frames and labels with their fields' sizes, and shaded pictures of frames not in ``shaded``.
+    """What the viewer shows: frames, labels, and shaded pictures of the frames that are not among ``shaded``.
 
     Args:
         store: The result folder.

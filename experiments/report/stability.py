@@ -15,6 +15,11 @@ STATUSES = ("ok", "declared", "broken")
 FILE = "stability.csv"
 
 
+def is_stability(folder: Path) -> bool:
+    """Whether a folder is of ``kind: stability``, not a walkthrough's that also holds such a table."""
+    return (folder / FILE).is_file() and not (folder / "frames.csv").is_file()
+
+
 def stability_values(folder: Path) -> dict[str, Any] | None:
     """What the page's heat map shows of a folder's stability.csv; None where it has none."""
     rows = read_table(folder / FILE)
@@ -31,7 +36,7 @@ def _values(rows: Sequence[Mapping[str, str]]) -> dict[str, Any]:
     found: dict[str, dict[str, list[tuple[str, str, str]]]] = {}
     for row in rows:
         levels = found.setdefault(row["technique"], {}).setdefault(row["case"], [])
-        levels.append((row["level"], row["status"], row["detail"]))
+        levels.append((_short(row["level"]), row["status"], row["detail"]))
     worst = breaking_points(rows)
     return {
         "techniques": techniques,

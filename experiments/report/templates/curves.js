@@ -6,8 +6,8 @@ function startCurves(holder, data, chart, look) {
   const rank = new Map(labels.map((label) => [label, labels.filter((other) => techniqueOf.get(other) === techniqueOf.get(label)).indexOf(label)]));
   const plots = data.curves.map((curve) => makeCurvePlot(curve));
   if (data.disoccluded) plots.push(makeCurvePlot({ name: "disoccluded", title: "disoccluded share of the receivers", unit: "%", lines: null }));
-  holder.replaceChildren(el("div", { class: "curves" }, plots.map((plot) => plot.node)),
-    makeLegend(chart.techniques.map((name) => ({ name, index: look(name) }))));
+  holder.replaceChildren(makeLegend(chart.techniques.map((name) => ({ name, index: look(name) }))),
+    el("div", { class: "curves" }, plots.map((plot) => plot.node)));
 
   function mark(frame) { for (const plot of plots) plot.mark(frame); }
 

@@ -20,6 +20,7 @@ function logScale(values, from, to) {
   const position = (value) => value > 0 ? start + slope * Math.log(Math.max(value, low) / low) : from + 0.4 * strip;
   const ticks = zeros ? [{ value: 0, text: "0" }] : [];
   const decades = Math.log10(high / low);
+  if (decades < 0.5) return { kind: "log", position, ticks: [...ticks, ...linearTicks(low, high, 5)], low, high, zero: zeros ? start : null };
   const named = decades < 1.3 ? [1, 2, 3, 5, 7] : decades < 2.6 ? [1, 2, 5] : [1];
   for (let power = Math.floor(Math.log10(low)); power <= Math.ceil(Math.log10(high)); power++) {
     for (let digit = 1; digit < 10; digit++) {

@@ -44,8 +44,11 @@ function makeScatter(holder, data, look) {
     root.append(trails(points, at));
     places = points.map((point) => ({ point, at: at(point) }));
     const marks = svg("g", { class: "marks" });
-    for (const place of [...places].sort((a, b) => a.at[0] - b.at[0])) marks.append(mark(place, front.includes(place.point), x, y));
-    root.append(marks, pointTexts(places, front, box));
+    // A front that was judged by more than the medians stands where it is about what is shown.
+    const judged = (point) => point.front !== null && state.y === "rmse" && state.x !== "shadow_ms";
+    const best = points.filter((point) => judged(point) ? point.front : front.includes(point));
+    for (const place of [...places].sort((a, b) => a.at[0] - b.at[0])) marks.append(mark(place, best.includes(place.point), x, y));
+    root.append(marks, pointTexts(places, best, box));
     root.addEventListener("pointermove", (event) => hover(nearest(event, root), event));
     root.addEventListener("pointerleave", () => hover(null));
     root.addEventListener("click", (event) => { const found = nearest(event, root); if (found) togglePin(found.point); });
@@ -138,7 +141,7 @@ function makeScatter(holder, data, look) {
 // Label, parameters, numbers and picture of a point.
 function pointCard(point, data, state, pinned = false) {
   const rows = Object.entries(point.values)
-    .filter(([name]) => pinned || [state.x, state.y, ...data.x, ...data.y].includes(name))
+    .filter(([name]) => pinned || [state.x, state.y, ...data.x, ...data.y.slice(0, 6)].includes(name))
     .map(([name, values]) => el("tr", { class: name === state.x || name === state.y ? "chosen" : null },
       el("th", { scope: "row" }, axisTitle(data.columns[name])), el("td", {}, number(values[0])),
       el("td", { class: "range" }, values.length === 3 && values[1] !== values[2] ? `${number(values[1])} to ${number(values[2])}` : "")));

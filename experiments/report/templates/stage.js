@@ -1,6 +1,6 @@
 // Which part of the image is seen, and its drawing: one spot and zoom for everything that shows it.
 
-const MOST_ZOOM = 64;  // window pixels for an image pixel
+const MOST_ZOOM = 64;  // window pixels for an image pixel; small images can be brought 8 times as near as they fit
 const NUMBERS_FROM = 38;  // zoom from which pixels have their values written on them
 
 class Spot {
@@ -16,8 +16,12 @@ class Spot {
     this.settle();
   }
 
+  nearest(zoom) {
+    return clamp(zoom, this.fit, Math.max(MOST_ZOOM, 8 * this.fit));
+  }
+
   settle() {
-    this.zoom = clamp(this.zoom, this.fit, Math.max(MOST_ZOOM, this.fit));
+    this.zoom = this.nearest(this.zoom);
     const spareX = Math.min(this.width, this.windowWidth / this.zoom) / 2, spareY = Math.min(this.height, this.windowHeight / this.zoom) / 2;
     this.x = clamp(this.x, spareX, this.width - spareX);
     this.y = clamp(this.y, spareY, this.height - spareY);
@@ -35,7 +39,7 @@ class Spot {
   // What lies under a window position stays there.
   zoomBy(factor, px = this.windowWidth / 2, py = this.windowHeight / 2) {
     const [x, y] = this.imageAt(px, py);
-    this.zoom = clamp(this.zoom * factor, this.fit, Math.max(MOST_ZOOM, this.fit));
+    this.zoom = this.nearest(this.zoom * factor);
     this.x = x - (px - this.windowWidth / 2) / this.zoom;
     this.y = y - (py - this.windowHeight / 2) / this.zoom;
     this.settle();

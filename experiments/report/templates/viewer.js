@@ -1,6 +1,7 @@
 // Techniques at one spot: flip through them, wipe between one and the reference, read single pixels.
 
 const MODES = { shaded: "Shaded", visibility: "Visibility", error: "Error", standard_error: "Standard error" };
+const MODE_NOUNS = { shaded: "shaded picture", visibility: "visibility", error: "error map", standard_error: "standard error" };
 
 const viewer = {
   data: null,
@@ -17,7 +18,10 @@ function startViewer(holder, data, chart) {
   const frames = data.frames.map((frame) => new FieldFrame(frame, palette));
   const names = [...(data.reference ? [REFERENCE] : []), ...data.labels];
   const title = (label) => label === REFERENCE ? "reference" : label;
-  const state = { frame: frames[0], label: data.labels[0], before: data.labels[0], against: data.reference ? REFERENCE : data.labels.at(-1), mode: "visibility", wipe: null, pixel: null };
+  // First a technique of the middle of the front: one that is worth its time, and whose error is to be seen.
+  const front = chart ? paretoFront(chart.points.filter((point) => point.values.frame_ms && point.values.rmse && data.labels.includes(point.label)), "frame_ms", "rmse") : [];
+  const first = front[front.length >> 1]?.label ?? data.labels[0];
+  const state = { frame: frames[0], label: first, before: first, against: data.reference ? REFERENCE : data.labels.at(-1), mode: "visibility", wipe: null, pixel: null };
   let spot = new Spot(frames[0].width, frames[0].height), waiting = false;
 
   // ---- The parts ----
@@ -79,6 +83,15 @@ function startViewer(holder, data, chart) {
     redraw();
   }
 
+  // The reference has no error and is not shaded: beside those it shows what it is made of.
+  function modeOf(label) {
+    return label === REFERENCE && !state.frame.has(label, state.mode) ? "visibility" : state.mode;
+  }
+
+  function named(label) {
+    return modeOf(label) === state.mode ? title(label) : `${title(label)}, visibility`;
+  }
+
   function redraw() {
     if (waiting) return;
     waiting = true;
@@ -92,23 +105,23 @@ function startViewer(holder, data, chart) {
     const before = wiping ? state.before : state.label;
     const context = fineContext(canvas, width, height);
     const part = (label, from, to) => {
-      const picture = state.frame.picture(label, state.mode, redraw);
+      const picture = state.frame.picture(label, modeOf(label), redraw);
       if (!picture || to <= from) return;
       context.save();
       context.beginPath();
       context.rect(from, 0, to - from, height);
       context.clip();
       drawSpot(context, picture, spot, width, height);
-      if (state.mode !== "shaded") writeValues(context, spot, from, to, (x, y) => pixelText(label, x, y));
+      if (modeOf(label) !== "shaded") writeValues(context, spot, from, to, (x, y) => pixelText(label, x, y));
       context.restore();
     };
     part(before, 0, border);
     if (wiping) part(state.against, border, width);
     if (state.pixel) outline(context);
-    const lacks = [before, ...(wiping ? [state.against] : [])].filter((label) => !state.frame.has(label, state.mode));
-    missing.textContent = lacks.length ? `${lacks.map(title).join(" and ")} ${lacks.length > 1 ? "have" : "has"} no ${MODES[state.mode].toLowerCase()} here.` : "";
-    left.textContent = title(before);
-    right.textContent = wiping ? title(state.against) : "";
+    const lacks = [before, ...(wiping ? [state.against] : [])].filter((label) => !state.frame.has(label, modeOf(label)));
+    missing.textContent = lacks.length ? `${lacks.map(title).join(" and ")} ${lacks.length > 1 ? "have" : "has"} no ${MODE_NOUNS[state.mode]} here.` : "";
+    left.textContent = named(before);
+    right.textContent = wiping ? named(state.against) : "";
     handle.hidden = !wiping;
     handle.style.left = `${border}px`;
     handle.setAttribute("aria-valuenow", String(Math.round(100 * (state.wipe ?? 0.5))));
@@ -124,15 +137,15 @@ function startViewer(holder, data, chart) {
     const wide = small.clientWidth, high = wide * height / width;
     if (!wide) return;
     small.style.height = `${high}px`;
-    const context = fineContext(small, wide, high), picture = state.frame.picture(label, state.mode, redraw);
+    const context = fineContext(small, wide, high), picture = state.frame.picture(label, modeOf(label), redraw);
     if (picture) drawSpot(context, picture, spot, wide, high, wide / width);
   }
 
   function pixelText(label, x, y) {
-    const error = state.mode === "error";
-    const own = state.frame.value(label, state.mode === "standard_error" ? "standard_error" : "visibility", x, y);
+    const mode = modeOf(label), error = mode === "error";
+    const own = state.frame.value(label, mode === "standard_error" ? "standard_error" : "visibility", x, y);
     const value = error ? own - state.frame.value(REFERENCE, "visibility", x, y) : own;
-    return { text: Number.isFinite(value) ? (error ? signed(value, 3) : value.toFixed(3)) : "", dark: error || state.mode === "standard_error" ? Math.abs(value) < 0.6 : value < 0.5 };
+    return { text: Number.isFinite(value) ? (error ? signed(value, 3) : value.toFixed(3)) : "", dark: error || mode === "standard_error" ? Math.abs(value) < 0.6 : value < 0.5 };
   }
 
   function outline(context) {
