@@ -16,8 +16,10 @@ from experiments.metrics import MAP_METRICS, METRICS
 from experiments.report.fields import REFERENCE, FieldFrame, error_palette
 from experiments.report.pictures import jpeg_url
 from experiments.store import Store
+from experiments.tables import read_table
 
 THUMB_WIDTH = 260  # pixels
+MAX_SHADED_CHARACTERS = 6_000_000  # of pictures that only the viewer shows
 TITLES: Mapping[str, tuple[str, str]] = {  # of columns that are no metric: title, unit
     "frame_ms": ("frame time", "ms"),
     "shadow_ms": ("shadow time", "ms"),
@@ -130,16 +132,13 @@ def viewer_data(
     """
     if not fields:
         return None
+    frames, left = [], MAX_SHADED_CHARACTERS
+    for made in fields:
+        own = {} if made.frame in shaded or left <= 0 else _shaded(store, labels, made.frame)
+        left -= sum(len(url) for url in own.values())
+        frames.append({"frame": made.frame, "width": made.width, "height": made.height, "shaded": own})
     return {
-        "frames": [
-            {
-                "frame": made.frame,
-                "width": made.width,
-                "height": made.height,
-                "shaded": {} if made.frame in shaded else _shaded(store, labels, made.frame),
-            }
-            for made in fields
-        ],
+        "frames": frames,
         "labels": [label for label in labels if any(label in made.fields for made in fields)],
         "reference": any(REFERENCE in made.fields for made in fields),
         "errorColours": error_palette(),
@@ -182,6 +181,21 @@ def shrink(rgb: np.ndarray, width: int) -> np.ndarray:
         return rgb
     blocks = rgb[:height, :wide].reshape(height // step, step, wide // step, step, 3)
     return np.rint(blocks.mean(axis=(1, 3))).astype(np.uint8)
+
+
+def with_summary(table: pd.DataFrame, folder: Path) -> pd.DataFrame:
+    """The table with those numbers of the folder's summary.csv, by label, that it lacks."""
+    rows = read_table(folder / "summary.csv")
+    if not rows:
+        return table
+    found = pd.DataFrame(rows).drop_duplicates("label").set_index("label")
+    more = {
+        str(name): pd.to_numeric(found[name].reindex(table["label"]), errors="coerce").to_numpy(float)
+        for name in found.columns
+        if name not in table and name not in ("technique", "frames", "reference_frames")
+    }
+    known = {name: values for name, values in more.items() if np.isfinite(values).any()}
+    return table.assign(**known)
 
 
 def parameters(config: Mapping[str, Any]) -> dict[str, dict[str, str]]:

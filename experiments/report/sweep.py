@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.report.data import chart_data, column_title, parameters, thumbs
+from experiments.report.data import chart_data, column_title, parameters, thumbs, with_summary
 from experiments.report.page import render
 from experiments.store import Store
 from experiments.tables import read_table, write_text
@@ -93,7 +93,7 @@ def _scene(
     return {
         "name": name,
         "chart": chart_data(
-            table,
+            with_summary(table, store.out),
             details=parameters(store.config()) if known else {},
             thumbs=thumbs(store, labels),
             baseline=baseline,

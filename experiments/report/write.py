@@ -136,6 +136,7 @@ def _page(
         viewer=viewer_data(store, labels, fields, [frame.frame for frame in pictures]),
         stability=stability_values(store.out),
         pictures=pictures,
+        sheet_characters=sum(frame.characters for frame in pictures),
         picture_frames=all_pictures,
         views=view_groups(store, labels),
         error_scale=ERROR_SCALE,

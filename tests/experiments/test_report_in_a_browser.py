@@ -234,6 +234,16 @@ def test_flipping_through_techniques_keeps_the_spot(visit: Visit) -> None:
     assert spot()[0] == whole[0]
 
 
+def test_every_technique_tells_its_value_at_the_pixel_under_the_pointer(visit: Visit, folder: Path) -> None:
+    visit.viewer()
+    facts = visit.page.inner_text('.thumb[data-label="memory"] small')
+    assert facts.startswith("RMSE ") and facts.endswith(" ms")
+    visit.point_at(4, 11)
+    frame = int(visit.page.get_attribute(".stage", "data-frame"))
+    value = float(read_exr(Store(folder).raw("memory", "visibility", frame))[11, 4])
+    assert visit.page.inner_text('.thumb[data-label="memory"] small').startswith(f"{value:.4f}"[:5])
+
+
 def test_wheel_zooms_about_the_pointer_and_only_with_the_focus(visit: Visit) -> None:
     stage, page = visit.viewer(), visit.page
     before = visit.point_at(5, 8), stage.get_attribute("data-zoom")
@@ -388,6 +398,8 @@ def test_a_sweep_has_a_chart_per_scene_and_links_to_its_report(browser: Any, fol
     visit = Visit(browser, write_sweep_report(tmp_path))
     page = visit.page
     titles = page.locator("h2").all_inner_texts()
+    axes = page.locator("#scene-1 [data-axis=y] option").all_inner_texts()
+    assert "FLIP" in axes and page.locator("#scene-2 [data-axis=y] option").all_inner_texts() == ["RMSE"]
     assert titles[:3] == ["Recommendation", "hall", "yard"] and "Over scenes" in titles
     assert page.locator("#scene-1 .point").count() == 2 and page.locator("#scene-2 .point").count() == 1
     page.locator('#scene-1 .point[data-label="cheap"] .marker').hover()

@@ -5,23 +5,43 @@ const LEVELS = 65534, NO_VALUE = 65535, REFERENCE = "";
 async function inflate(base64) {
   const packed = Uint8Array.from(atob(base64), (character) => character.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
-  const bytes = new DataView(await new Response(stream).arrayBuffer());
-  return Uint16Array.from({ length: bytes.byteLength / 2 }, (_, i) => bytes.getUint16(2 * i, true));
+  return new Uint16Array(await new Response(stream).arrayBuffer());  // little-endian, as every machine that has a browser
 }
+
+// Pixels as the canvas wants them, by number: a table for each mode, made when it is first needed.
+class Colours {
+  constructor(palette) {
+    Object.assign(this, { palette, tables: {} });
+  }
+
+  table(mode) {
+    return this.tables[mode] ??= mode === "error" ? this.fill(2 * LEVELS + 1, (i) => errorColour(i / LEVELS - 1, this.palette))
+      : mode === "standard_error" ? this.fill(LEVELS + 1, (i) => errorColour(i / LEVELS, this.palette))
+        : this.fill(LEVELS + 1, (i) => Array(3).fill(Math.round(255 * i / LEVELS)));
+  }
+
+  fill(count, colourOf) {
+    const bytes = new Uint8ClampedArray(4 * count);
+    for (let i = 0; i < count; i++) bytes.set([...colourOf(i), 255], 4 * i);
+    return new Uint32Array(bytes.buffer);
+  }
+}
+const NO_RECEIVER_PIXEL = new Uint32Array(new Uint8ClampedArray([...NO_RECEIVER, 255]).buffer)[0];
 
 // One frame: numbers by label and kind, unpacked once; pictures painted when they are first looked at.
 class FieldFrame {
-  constructor({ frame, width, height, shaded }, palette) {
-    Object.assign(this, { frame, width, height, shaded, palette, numbers: null, painted: new Map() });
+  constructor({ frame, width, height, shaded }, colours) {
+    Object.assign(this, { frame, width, height, shaded, colours, numbers: null, painted: new Map() });
   }
 
   async load() {
     if (this.numbers) return this;
-    const packed = readJson(`fields-${this.frame}`), numbers = {};
-    for (const [label, kinds] of Object.entries(packed)) {
+    const numbers = {}, waits = [];
+    for (const [label, kinds] of Object.entries(readJson(`fields-${this.frame}`))) {
       numbers[label] = {};
-      for (const [kind, text] of Object.entries(kinds)) numbers[label][kind] = await inflate(text);
+      for (const [kind, text] of Object.entries(kinds)) waits.push(inflate(text).then((field) => { numbers[label][kind] = field; }));
     }
+    await Promise.all(waits);
     this.numbers = numbers;
     return this;
   }
@@ -66,15 +86,10 @@ class FieldFrame {
     const context = canvas.getContext("2d"), image = context.createImageData(this.width, this.height);
     const own = this.numbers[label], field = own[mode === "standard_error" ? mode : "visibility"];
     const reference = mode === "error" ? this.numbers[REFERENCE].visibility : null;
+    const pixels = new Uint32Array(image.data.buffer), table = this.colours.table(mode);
     for (let i = 0; i < field.length; i++) {
-      let colour = NO_RECEIVER;
-      if (field[i] !== NO_VALUE && !(reference && reference[i] === NO_VALUE)) {
-        const value = field[i] / LEVELS;
-        colour = mode === "visibility" ? Array(3).fill(Math.round(255 * value))
-          : errorColour(reference ? value - reference[i] / LEVELS : value, this.palette);
-      }
-      image.data.set(colour, 4 * i);
-      image.data[4 * i + 3] = 255;
+      if (field[i] === NO_VALUE || (reference && reference[i] === NO_VALUE)) pixels[i] = NO_RECEIVER_PIXEL;
+      else pixels[i] = table[reference ? field[i] - reference[i] + LEVELS : field[i]];
     }
     context.putImageData(image, 0, 0);
     return canvas;

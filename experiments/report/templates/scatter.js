@@ -48,6 +48,7 @@ function makeScatter(holder, data, look) {
     const judged = (point) => point.front !== null && state.y === "rmse" && state.x !== "shadow_ms";
     const best = points.filter((point) => judged(point) ? point.front : front.includes(point));
     for (const place of [...places].sort((a, b) => a.at[0] - b.at[0])) marks.append(mark(place, best.includes(place.point), x, y));
+    marks.firstChild?.setAttribute("tabindex", 0);  // the arrow keys lead to the others
     root.append(marks, pointTexts(places, best, box));
     root.addEventListener("pointermove", (event) => hover(nearest(event, root), event));
     root.addEventListener("pointerleave", () => hover(null));
@@ -61,7 +62,7 @@ function makeScatter(holder, data, look) {
     const span = (scale, values) => values.length === 3 ? [scale.position(values[1]), scale.position(values[2])] : null;
     const across = span(x, point.values[state.x]), down = span(y, point.values[state.y]);
     const node = svg("g", {
-      class: onFront ? "point on-front" : "point", tabindex: 0, role: "button", "data-label": point.label,
+      class: onFront ? "point on-front" : "point", tabindex: -1, role: "button", "data-label": point.label,
       "aria-pressed": String(state.pins.has(point.label)), "aria-describedby": "tooltip",
       "aria-label": `${point.label}: ${data.columns[state.y].title} ${number(point.values[state.y][0])}, ` +
         `${data.columns[state.x].title} ${number(point.values[state.x][0])}${onFront ? ", on the Pareto front" : ""}`,
@@ -115,6 +116,7 @@ function makeScatter(holder, data, look) {
     } else if (event.key === "ArrowRight" || event.key === "ArrowLeft") {
       const next = nodes[clamp(here + (event.key === "ArrowRight" ? 1 : -1), 0, nodes.length - 1)];
       next?.focus();
+      for (const node of nodes) node.setAttribute("tabindex", node === next ? 0 : -1);
     } else return;
     event.preventDefault();
   }
@@ -168,6 +170,12 @@ function staircase(corners, box) {
   return `${path}H${box.right}`;
 }
 
+function textWidth(text) {
+  textWidth.context ??= el("canvas").getContext("2d");
+  textWidth.context.font = `12px ${getComputedStyle(document.body).fontFamily}`;
+  return textWidth.context.measureText(text).width;
+}
+
 // Labels beside their points where there is room for them, those of the front first.
 function pointTexts(places, front, box) {
   const group = svg("g", { class: "texts", "aria-hidden": "true" });
@@ -176,7 +184,7 @@ function pointTexts(places, front, box) {
     && !taken.some((b) => a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]);
   const rank = (place) => front.includes(place.point) ? 0 : 1;
   for (const place of [...places].sort((a, b) => rank(a) - rank(b))) {
-    const [x, y] = place.at, wide = place.point.label.length * 6.3;
+    const [x, y] = place.at, wide = textWidth(place.point.label);
     for (const [dx, dy, anchor] of [[11, -8, "start"], [-11, -8, "end"], [11, 15, "start"], [-11, 15, "end"], [0, -13, "middle"], [0, 22, "middle"], [12, 4, "start"], [-12, 4, "end"]]) {
       const left = anchor === "start" ? x + dx : anchor === "end" ? x + dx - wide : x - wide / 2;
       const extent = [left, y + dy - 10, left + wide, y + dy + 3];

@@ -15,7 +15,7 @@ const viewer = {
 
 function startViewer(holder, data, chart) {
   const palette = bytesOfHex(data.errorColours);
-  const frames = data.frames.map((frame) => new FieldFrame(frame, palette));
+  const colours = new Colours(palette), frames = data.frames.map((frame) => new FieldFrame(frame, colours));
   const names = [...(data.reference ? [REFERENCE] : []), ...data.labels];
   const title = (label) => label === REFERENCE ? "reference" : label;
   // First a technique of the middle of the front: one that is worth its time, and whose error is to be seen.
@@ -43,7 +43,7 @@ function startViewer(holder, data, chart) {
     const numbers = chart?.points.find((point) => point.label === name)?.values ?? {};
     const facts = [numbers.rmse && `RMSE ${number(numbers.rmse[0])}`, numbers.frame_ms && `${number(numbers.frame_ms[0])} ms`].filter(Boolean).join(" · ");
     return el("button", { type: "button", class: "thumb", "data-label": title(name), onclick: () => viewer.select(name) },
-      el("canvas", { "aria-hidden": "true" }), el("span", {}, title(name)), el("small", {}, facts || "\u00a0"));
+      el("canvas", { "aria-hidden": "true" }), el("span", {}, title(name)), el("small", { "data-facts": facts }));
   });
   holder.replaceChildren(
     el("div", { class: "controls" },
@@ -129,16 +129,16 @@ function startViewer(holder, data, chart) {
     zoomText.textContent = spot.zoom >= 10 ? `${spot.zoom.toFixed(0)}×` : `${spot.zoom.toFixed(2)}×`;
     stage.classList.toggle("zoomed", spot.zoom > spot.fit * 1.001);
     Object.assign(stage.dataset, { zoom: spot.zoom, x: spot.x, y: spot.y, label: title(state.label), mode: state.mode, frame: state.frame.frame });
-    strip.forEach((button, i) => drawThumb(button.firstChild, names[i], width, height));
+    const wide = strip[0].firstChild.clientWidth, high = Math.round(wide * height / width);
+    strip.forEach((button, i) => drawThumb(button.firstChild, names[i], wide, high, wide / width));
     read();
   }
 
-  function drawThumb(small, label, width, height) {
-    const wide = small.clientWidth, high = wide * height / width;
+  function drawThumb(small, label, wide, high, scale) {
     if (!wide) return;
-    small.style.height = `${high}px`;
+    if (small.dataset.high !== String(high)) small.style.height = `${small.dataset.high = high}px`;
     const context = fineContext(small, wide, high), picture = state.frame.picture(label, modeOf(label), redraw);
-    if (picture) drawSpot(context, picture, spot, wide, high, wide / width);
+    if (picture) drawSpot(context, picture, spot, wide, high, scale);
   }
 
   function pixelText(label, x, y) {
@@ -169,6 +169,13 @@ function startViewer(holder, data, chart) {
       node.dataset.value = Number.isFinite(exact[name]) ? exact[name] : "";
     }
     readout.querySelectorAll("dt")[1].textContent = title(label);
+    strip.forEach((button, i) => { button.lastChild.textContent = (state.pixel && valueOf(names[i])) || button.lastChild.dataset.facts || "\u00a0"; });
+
+    // What every technique has at the pixel under the pointer, and by how much that is off.
+    function valueOf(name) {
+      const seen = value(name), error = name === REFERENCE ? NaN : seen - truth;
+      return text(seen) + (Number.isFinite(error) ? ` (${signed(error, 3)})` : "");
+    }
   }
 
   function text(value) { return Number.isFinite(value) ? value.toFixed(4) : "–"; }
