@@ -104,7 +104,7 @@ def _run_stability(request: _Request) -> None:
     folder = request.folder(stability.name)
     with _interruptible(folder), progress_display() as progress:
         table = run_stability(stability, folder, plugins, progress=progress, **request.options)
-    print(f"{summary_text(read_table(table))}\nTable: {table}\nHeat map: {folder / 'plots' / 'stability.png'}")
+    print(f"{summary_text(read_table(table))}\nTable: {table}\nReport: {folder / 'report.html'}")
 
 
 @contextmanager
@@ -127,7 +127,11 @@ def report_folder(folder: Path) -> None:
     """Writes the report of a result folder again."""
     from experiments.report import write_report
     from experiments.report.convergence import write_convergence_report
+    from experiments.report.stability import is_stability, write_stability_report
 
+    if is_stability(folder):
+        print(f"Report: {write_stability_report(folder)}")
+        return
     write = write_convergence_report if (folder / "convergence.csv").is_file() else write_report
     print(f"Report: {write(folder)}")
 

@@ -8,16 +8,15 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from experiments.images import ERROR_SCALE, error_view, read_exr, standard_error_view, visibility_view
 from experiments.report import style
 from experiments.report.convergence_plots import coverage_plot, log_log_plot, picture_sheet
+from experiments.report.page import number, render
 from experiments.report.pictures import error_scale_css
 from experiments.report.plots import inline_svg
-from experiments.report.write import number, plain
 from experiments.store import CONVERGENCE_COLUMNS, ConvergenceStore
 from experiments.tables import table_text, write_text
 from wkernels.errors import InputError
@@ -181,13 +180,8 @@ def _page(
     environment = store.environment()
     run = environment["run"]
     gradient, ticks = error_scale_css()
-    page = Environment(
-        loader=PackageLoader("experiments.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    page.filters["number"] = number
-    page.filters["plain"] = plain
-    page.filters["percent"] = lambda share: "" if not np.isfinite(share) else f"{100.0 * share:.1f} %"
-    return page.get_template("convergence.html").render(
+    return render(
+        "convergence.html",
         run=run,
         environment=environment["environment"],
         metric_versions=environment["metrics"],

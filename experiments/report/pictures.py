@@ -11,10 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from experiments.images import error_colors, read_png, write_jpeg
+from experiments.report.fields import evenly
 from experiments.store import Store, ViewKind
 
 MAX_FRAMES = 3  # a page of eight techniques then stays within a few megabytes
 MAX_WIDTH = 960  # pixels; larger pictures are shown by every second, third, ... pixel
+LEAST_WIDTH = 200
+MAX_CHARACTERS = 16_000_000  # of the contact sheet in a page
 _KINDS: tuple[ViewKind, ...] = ("shaded", "visibility", "error")
 
 
@@ -35,23 +38,44 @@ class PictureFrame:
     frame: int
     rows: list[PictureRow]
 
+    @property
+    def characters(self) -> int:
+        """Size in a page."""
+        urls = [url for row in self.rows for url in (row.shaded, row.visibility, row.error)]
+        return sum(len(url) for url in urls if url)
 
-def picture_frames(store: Store, labels: Sequence[str], wanted: Sequence[int]) -> list[PictureFrame]:
-    """Up to ``MAX_FRAMES`` of the frames ``wanted``, evenly spread, with whatever pictures the folder has of them."""
-    wanted = sorted(wanted)
-    count = min(MAX_FRAMES, len(wanted))
-    chosen = [wanted[i] for i in np.unique(np.linspace(0, len(wanted) - 1, count).round().astype(int))] if count else []
-    out = []
+
+def picture_frames(
+    store: Store, labels: Sequence[str], wanted: Sequence[int], most_characters: int = MAX_CHARACTERS
+) -> list[PictureFrame]:
+    """Up to ``MAX_FRAMES`` of the frames ``wanted``, evenly spread, with whatever pictures the folder has of them.
+
+    Fewer frames where they would make the page too large; where one alone does, with fewer columns.
+
+    Args:
+        store: The result folder.
+        labels: Labels in order.
+        wanted: Frames to choose from.
+        most_characters: Size that all together may have in the page.
+    """
     with tempfile.TemporaryDirectory(prefix="wkernels-report-") as folder:
         scratch = Path(folder) / "picture.jpg"
-        for frame in chosen:
-            rows = []
-            for label in (None, *labels):
-                urls = {kind: _data_url(store.view(label, kind, frame), scratch) for kind in _KINDS}
-                if any(urls.values()):
-                    rows.append(PictureRow(label or "reference", urls["shaded"], urls["visibility"], urls["error"]))
-            out.append(PictureFrame(frame, rows))
-    return out
+        width, out = MAX_WIDTH, [_frame(store, labels, frame, scratch, MAX_WIDTH) for frame in evenly(wanted, 1)]
+        while out and out[0].characters > most_characters and width > LEAST_WIDTH:
+            width //= 2
+            out = [_frame(store, labels, out[0].frame, scratch, width)]
+        # Later frames are about as large as the first; a page a little over its size is no harm.
+        fit = max(1, most_characters // max(1, out[0].characters)) if out else 0
+        return out + [_frame(store, labels, f, scratch, width) for f in evenly(wanted, min(MAX_FRAMES, fit))[1:]]
+
+
+def _frame(store: Store, labels: Sequence[str], frame: int, scratch: Path, max_width: int) -> PictureFrame:
+    rows = []
+    for label in (None, *labels):
+        urls = {kind: _data_url(store.view(label, kind, frame), scratch, max_width) for kind in _KINDS}
+        if any(urls.values()):
+            rows.append(PictureRow(label or "reference", urls["shaded"], urls["visibility"], urls["error"]))
+    return PictureFrame(frame, rows)
 
 
 @dataclass(frozen=True)
@@ -106,6 +130,12 @@ def error_scale_css() -> tuple[str, list[tuple[float, str]]]:
         (50.0 + 50.0 * float(np.sign(tick) * np.sqrt(abs(tick))), f"{tick:+g}" if tick else "0") for tick in ticks
     ]
     return f"linear-gradient(to right, {', '.join(stops)})", places
+
+
+def jpeg_url(path: Path, max_width: int = MAX_WIDTH) -> str | None:
+    """A stored picture as the data URL of a JPEG of at most that many columns; None where there is none."""
+    with tempfile.TemporaryDirectory(prefix="wkernels-report-") as folder:
+        return _data_url(path, Path(folder) / "picture.jpg", max_width)
 
 
 def _data_url(path: Path, scratch: Path, max_width: int = MAX_WIDTH) -> str | None:

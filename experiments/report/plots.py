@@ -20,12 +20,15 @@ _SMALL = 0.01
 
 
 def inline_svg(figure: Figure) -> str:
-    """The figure as an SVG element whose ink follows the page's text colour."""
+    """The figure as an SVG element whose ink and colours of labels follow the page's, light or dark."""
     text = io.StringIO()
     with styled():
         figure.savefig(text, format="svg", transparent=True, bbox_inches="tight", metadata={"Date": None})
     svg = text.getvalue()
-    return svg[svg.index("<svg") :].replace(INK, "currentColor")
+    svg = svg[svg.index("<svg") :].replace(INK, "currentColor")
+    for i, color in enumerate(COLORS):
+        svg = svg.replace(color, f"var(--c{i})")
+    return svg
 
 
 def error_vs_time(

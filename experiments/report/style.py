@@ -37,6 +37,11 @@ _STYLE: dict[str, Any] = {
 }
 # Okabe and Ito's colours, readable with every colour vision, in an order that also keeps neighbours apart in grey.
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#8c6bb1", "#b8860b", "#2f4b7c")
+# The same hues on a dark page, in the same order.
+DARK_COLORS = (
+    "#4aa3e6", "#f2874b", "#2fc49b", "#e6a3c8", "#8fd3f7", "#f2bb49", "#a9adb5", "#b7a1ec", "#d8ac4a", "#86a2e0",
+)  # fmt: skip
+assert len(DARK_COLORS) == len(COLORS)
 _MARKERS = "osD^vPX<>h*"
 _DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (6, 2, 1, 2)))
 
@@ -52,6 +57,10 @@ class Look:
 
     def __init__(self, labels: Sequence[str]) -> None:
         self._index = {label: i for i, label in enumerate(labels)}
+
+    def index(self, label: str) -> int:
+        """Place of the label, from which its looks follow."""
+        return self._index[label]
 
     def color(self, label: str) -> str:
         """Hex colour."""

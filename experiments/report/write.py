@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
@@ -17,8 +15,12 @@ from experiments.metrics import METRICS
 from experiments.prediction import Correlation, write_prediction
 from experiments.published import read_published
 from experiments.report import plots, style
+from experiments.report.data import chart_data, curve_data, parameters, thumbs, viewer_data
+from experiments.report.fields import field_frames
+from experiments.report.page import number, render
 from experiments.report.pictures import error_scale_css, picture_frames, view_groups
 from experiments.report.prediction import scatter
+from experiments.report.stability import stability_values
 from experiments.store import Store
 from experiments.tables import write_text
 from wkernels.errors import InputError
@@ -102,12 +104,11 @@ def _page(
     shown_metrics = [
         m for m in METRICS.values() if m.name != "reference_standard_error" and table[m.name].notna().any()
     ]
-    page = Environment(
-        loader=PackageLoader("experiments.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    page.filters["number"] = number
-    page.filters["plain"] = plain
-    return page.get_template("report.html").render(
+    pictures = picture_frames(store, labels, all_pictures)
+    fields = field_frames(store, labels, all_pictures)
+    reference_error = float(table["reference_standard_error"].median())
+    return render(
+        "report.html",
         run=run,
         environment=environment["environment"],
         identity=environment["identity"],
@@ -120,10 +121,22 @@ def _page(
         published=read_published(store.out),
         flicker_floor=_flicker_floor(table, run["labels"]),
         prediction=_prediction_rows(prediction),
-        reference_error=float(table["reference_standard_error"].median()),
+        reference_error=reference_error,
         papers={entry["label"]: ", ".join(entry["paper"]) for entry in run["labels"]},
         svgs=svgs,
-        pictures=picture_frames(store, labels, all_pictures),
+        chart=chart_data(
+            table,
+            details=parameters(store.config()),
+            thumbs=thumbs(store, labels),
+            baseline=run["baseline"],
+            indistinct_below=2.0 * reference_error,
+        ),
+        curves=curve_data(frames) if frames["frame"].nunique() > 1 else None,
+        fields=fields,
+        viewer=viewer_data(store, labels, fields, [frame.frame for frame in pictures]),
+        stability=stability_values(store.out),
+        pictures=pictures,
+        sheet_characters=sum(frame.characters for frame in pictures),
         picture_frames=all_pictures,
         views=view_groups(store, labels),
         error_scale=ERROR_SCALE,
@@ -169,28 +182,6 @@ def headline(table: pd.DataFrame, baseline: str) -> list[str]:
     if same:
         out.append(f"Not distinguishable from the reference at its number of samples: {', '.join(same)}.")
     return out
-
-
-def number(value: Any, digits: int = 3) -> str:
-    """A number for people: three significant digits, empty where unknown."""
-    if value is None or not np.isfinite(value):
-        return ""
-    if value == 0.0:
-        return "0"
-    size = abs(float(value))
-    if 1e-4 <= size < 1e6:
-        decimals = max(0, digits - 1 - int(np.floor(np.log10(size))))
-        return f"{value:.{decimals}f}"
-    return f"{value:.{digits - 1}e}"
-
-
-def plain(value: Any) -> str:
-    """A value of environment.json for people."""
-    if isinstance(value, dict):
-        return ", ".join(f"{key} {plain(item)}" for key, item in value.items())
-    if isinstance(value, list | tuple):
-        return ", ".join(plain(item) for item in value)
-    return "" if value is None else str(value)
 
 
 def _pass_shares(passes: pd.DataFrame, labels: list[str]) -> list[tuple[str, list[tuple[str, float, float]]]]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from algorithms.technique import Technique
 from experiments.engine import check_device
 from experiments.environment import describe_machine
+from experiments.report.stability import write_stability_report
 from experiments.stability.cases import CASES
 from experiments.stability.heat_map import draw_heat_map
 from experiments.stability.table import COLUMNS, breaking_points, concerned, examine
@@ -34,7 +35,7 @@ def run_stability(
     skips: bool = True,
     progress: Progress | None = None,
 ) -> Path:
-    """Renders every technique on every level of every case, and writes stability.csv as it goes and a heat map.
+    """Renders every technique on every level of every case; writes stability.csv as it goes, a heat map and the report.
 
     Args:
         stability: The resolved experiment.
@@ -80,6 +81,8 @@ def run_stability(
         progress(len(stability.cases), len(stability.cases), "done")
     rows = read_table(path)
     draw_heat_map(breaking_points(rows), stability.techniques, stability.cases, out / "plots" / "stability")
+    if rows:
+        write_stability_report(out)
     return path
 
 

@@ -20,7 +20,9 @@ from experiments import summary
 from experiments.explain import explain
 from experiments.images import read_exr, write_exr
 from experiments.report import recompute_metrics, write_report
+from experiments.report.fields import LEVELS, decode, encode, evenly, field_frames
 from experiments.report.labels import place_labels
+from experiments.report.pictures import picture_frames
 from experiments.report.plots import per_frame
 from experiments.report.style import Look
 from experiments.report.write import headline, number
@@ -231,6 +233,33 @@ def test_disocclusion_is_drawn_under_the_curves_where_there_is_any() -> None:
     assert above.get_ylabel() == "ms" and "disoccluded" in below.get_ylabel()
     assert below.get_xlabel() == "frame" and below.get_ylim()[1] == pytest.approx(26.25)
     assert above.get_position().y0 > below.get_position().y1
+
+
+def test_fields_keep_values_to_16_bits_and_places_without_receiver() -> None:
+    rng = np.random.default_rng(3)
+    image = rng.random((9, 7)).astype(np.float32)
+    image[2, 3], image[4], image[0, :3] = np.nan, (0.0, 1.0, 0.5, 1.0, 0.0, 0.25, 0.75), (-0.5, 1.5, np.inf)
+    expected = np.where(np.isfinite(image), np.clip(image, 0.0, 1.0), np.nan)
+    np.testing.assert_allclose(decode(encode(image), 7), expected, atol=0.5 / LEVELS + 1e-7)
+    assert decode(encode(image), 7)[4, 1] == 1.0
+
+
+def test_a_page_never_grows_without_bound(folder: Path) -> None:
+    store, labels = Store(folder), ["cheap", "memory", "slow [exact]"]
+    assert evenly([8, 0, 16, 24], 3) == [0, 16, 24] and evenly([], 3) == [] and evenly([5, 1], 9) == [1, 5]
+    whole = field_frames(store, labels, [0, 2, 4])
+    assert [made.frame for made in whole] == [0, 2, 4] and {made.step for made in whole} == {1}
+    one = whole[0].characters
+    assert set(whole[0].fields) == {"", *labels} and set(whole[0].fields["memory"]) == {"visibility", "standard_error"}
+    assert [made.frame for made in field_frames(store, labels, [0, 2, 4], int(2.5 * one))] == [0, 4]
+    coarse = field_frames(store, labels, [0, 2, 4], one // 2)
+    assert [(made.frame, made.step, made.width, made.height) for made in coarse] == [(0, 2, 12, 8)]
+    truth = read_exr(store.raw(None, "visibility", 0))[::2, ::2]
+    np.testing.assert_allclose(decode(coarse[0].fields[""]["visibility"], 12), truth, atol=1.0 / LEVELS)
+    sheet = picture_frames(store, labels, [0, 2, 4])
+    assert [frame.frame for frame in sheet] == [0, 2, 4]
+    assert [frame.frame for frame in picture_frames(store, labels, [0, 2, 4], 2 * sheet[0].characters + 9)] == [0, 4]
+    assert [frame.frame for frame in picture_frames(store, labels, [0, 2, 4], 1)] == [0]
 
 
 def test_report_of_an_interrupted_run_says_so(copy: Path) -> None:

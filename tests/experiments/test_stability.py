@@ -133,6 +133,8 @@ def test_a_run_writes_the_contract_and_goes_on_where_it_was_cut(tmp_path: Path) 
     rows = read_table(path)
     assert len(rows) == 3 * 4 + 3 + 3 * 5 and {row["status"] for row in rows} == {"ok"}
     assert (tmp_path / "o" / "plots" / "stability.png").stat().st_size > 5000
+    page = (tmp_path / "o" / "report.html").read_text()
+    assert "No technique fails without a declared reason." in page and all(name in page for name in QUICK)
     lines = text.splitlines(keepends=True)
     path.write_text("".join(lines[:15]) + lines[15][:9])  # killed in the middle of a row of the second case
     told: list[str] = []

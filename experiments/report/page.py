@@ -1,0 +1,98 @@
+"""How pages are made: one template environment, whose pages hold their style, scripts and data and load nothing."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from experiments.report.style import COLORS, DARK_COLORS
+
+# One script element: every file sees what the files before it define, and nothing leaks into the page.
+SCRIPTS = (
+    "core.js", "scales.js", "tooltip.js", "legend.js", "scatter.js", "curves.js", "colours.js", "fields.js",
+    "stage.js", "steer.js", "viewer.js", "stability.js", "tables.js", "pictures.js", "start.js",
+)  # fmt: skip
+
+
+def render(template: str, **values: Any) -> str:
+    """A page from a template of this package; text is escaped, and every name must be given."""
+    environment = Environment(
+        loader=PackageLoader("experiments.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.filters |= {"number": number, "plain": plain, "percent": percent, "json": json_script, "exact": exact}
+    return environment.get_template(template).render(style=_style(), scripts=_scripts(), **values)
+
+
+def _asset(name: str) -> str:
+    return (files("experiments.report") / "templates" / name).read_text(encoding="utf-8")
+
+
+def _style() -> Markup:
+    def palette(colors: Sequence[str]) -> str:
+        return ":root { " + " ".join(f"--c{i}: {color};" for i, color in enumerate(colors)) + " }"
+
+    dark = f"@media screen and (prefers-color-scheme: dark) {{ {palette(DARK_COLORS)} }}"
+    return Markup("\n".join([_asset("report.css"), palette(COLORS), dark]))  # our own files, no input
+
+
+def _scripts() -> Markup:
+    body = "\n".join(f"// ---- {name}\n{_asset(name)}" for name in SCRIPTS)
+    return Markup(f'(() => {{\n"use strict";\n{body}\n}})();')
+
+
+def json_script(data: Any) -> Markup:
+    """JSON for a script element: numbers that JSON lacks become null, and nothing in it can end the element."""
+    text = json.dumps(_finite(data), ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    for character in "<>&\u2028\u2029":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return Markup(text)
+
+
+def _finite(data: Any) -> Any:
+    if isinstance(data, dict):
+        return {str(key): _finite(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_finite(value) for value in data]
+    if isinstance(data, bool | np.bool_):
+        return bool(data)
+    if isinstance(data, float | np.floating):
+        return float(f"{data:.7g}") if np.isfinite(data) else None
+    return int(data) if isinstance(data, np.integer) else data
+
+
+def number(value: Any, digits: int = 3) -> str:
+    """A number for people: three significant digits, empty where unknown."""
+    if value is None or not np.isfinite(value):
+        return ""
+    if value == 0.0:
+        return "0"
+    size = abs(float(value))
+    if 1e-4 <= size < 1e6:
+        decimals = max(0, digits - 1 - int(np.floor(np.log10(size))))
+        return f"{value:.{decimals}f}"
+    return f"{value:.{digits - 1}e}"
+
+
+def exact(value: Any) -> str:
+    """A number for sorting, empty where unknown."""
+    return "" if value is None or not np.isfinite(value) else f"{float(value):.9g}"
+
+
+def percent(share: float) -> str:
+    """A share in percent, empty where unknown."""
+    return "" if not np.isfinite(share) else f"{100.0 * share:.1f} %"
+
+
+def plain(value: Any) -> str:
+    """A value of environment.json or of a configuration for people."""
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {plain(item)}" for key, item in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(plain(item) for item in value)
+    return "" if value is None else str(value)
