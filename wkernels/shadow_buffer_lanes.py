@@ -121,6 +121,18 @@ def update_shadow_buffer_lanes(
     limit = settings.storage.limit
     searches = wp.where(settings.start != START_SAMPLE, 1, 0)
     follows = wp.where(settings.followed_samples > 0.0, 1, 0)
+    if settings.window > 0.0:
+        room = wp.max(settings.window - weight, 0.0)
+        share = weight / (room + weight)
+        kept = 1.0 - share
+        for k in range(LANES):
+            # ``age_sums``
+            ages = n[k] > room
+            held_n = wp.where(ages, n[k], 1.0)
+            mean = kept * (rho[k] / held_n) + share * tau[k]
+            count = 1.0 / (kept * kept / held_n + share * share / weight)
+            rho[k] = wp.where(ages, wp.max(mean * count - weight * tau[k], 0.0), rho[k])
+            n[k] = wp.where(ages, wp.max(count - weight, 0.0), n[k])
     threshold = wp.where(settings.smooths != 0, settings.error_threshold, 2.0)  # no error is larger than 1
     least_samples = wp.where(settings.smooths != 0, settings.least_samples, 0.0)
     for k in range(LANES):
