@@ -16,6 +16,8 @@ does."""
 FLOAT32_LIMIT = 2.0**22
 """Largest n for sums kept in float32, a quarter of where integers stop being exact."""
 
+NO_WINDOW = wp.constant(3.0e38)  # more tests than can be remembered
+
 UNLIMITED = 3.0e38
 """No limit at all: what the papers' own buffers had."""
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import warp as wp
 
 from wkernels.comparison_lanes import first_texels
+from wkernels.estimators import NO_WINDOW
 from wkernels.filtering import NEAREST_BLOCKER, LightFootprint
 from wkernels.gbuffer import GBuffer
 from wkernels.history_lanes import HistoryRun, PointRun, fetch_run, place_run, points_of_run
@@ -121,21 +122,19 @@ def update_shadow_buffer_lanes(
     limit = settings.storage.limit
     searches = wp.where(settings.start != START_SAMPLE, 1, 0)
     follows = wp.where(settings.followed_samples > 0.0, 1, 0)
-    if settings.window > 0.0:
-        room = wp.max(settings.window - weight, 0.0)
-        share = weight / (room + weight)
-        kept = 1.0 - share
-        for k in range(LANES):
-            # ``age_sums``
-            ages = n[k] > room
-            held_n = wp.where(ages, n[k], 1.0)
-            mean = kept * (rho[k] / held_n) + share * tau[k]
-            count = 1.0 / (kept * kept / held_n + share * share / weight)
-            rho[k] = wp.where(ages, wp.max(mean * count - weight * tau[k], 0.0), rho[k])
-            n[k] = wp.where(ages, wp.max(count - weight, 0.0), n[k])
+    # for ``age_sums``, not in an if: that would cost more than it saves
+    room = wp.where(settings.window > 0.0, wp.max(settings.window - weight, 0.0), NO_WINDOW)
+    new_share = weight / (room + weight)
+    old_share = 1.0 - new_share
     threshold = wp.where(settings.smooths != 0, settings.error_threshold, 2.0)  # no error is larger than 1
     least_samples = wp.where(settings.smooths != 0, settings.least_samples, 0.0)
     for k in range(LANES):
+        ages = n[k] > room
+        held_n = wp.where(ages, n[k], 1.0)
+        mean = old_share * (rho[k] / held_n) + new_share * tau[k]
+        count = 1.0 / (old_share * old_share / held_n + new_share * new_share / weight)
+        rho[k] = wp.where(ages, wp.max(mean * count - weight * tau[k], 0.0), rho[k])
+        n[k] = wp.where(ages, wp.max(count - weight, 0.0), n[k])
         start = wp.where(n[k] <= 0.0, receives[k] * searches, 0)
         alone[k] = start | of_mover[k] | (on_mover[k] * follows)
         alone_count += alone[k]

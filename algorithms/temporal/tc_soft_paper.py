@@ -35,7 +35,8 @@ Deviations, where the paper is silent or wrong:
 Known artefacts: noise and flicker while n is small and where moving and static penumbrae overlap; SE = 0 is false
 certainty where all tests agree so far; the filter blurs penumbrae that are still above t;
 shadows lag a little under a light that moves; history blurs a little with every frame in which the eye moves, and lags
-on surfaces that move by less than epsilon a frame, as points are followed by the camera's motion alone unless ``mover_surfaces`` is ``own_motion``.
+on surfaces that move by less than epsilon a frame, as points are followed by the camera's motion alone unless
+``mover_surfaces`` is ``own_motion``.
 """
 
 from __future__ import annotations
