@@ -69,3 +69,25 @@ class ShadowBufferParams(MapParams):
     mover_samples: float = setting(
         16.0, "largest n on surfaces that are followed by their own motion", unit="samples", ge=1.0, le=1e6
     )
+    ageing: Literal["none", "frames", "displacement", "balanced"] = setting(
+        "balanced",
+        "what is remembered loses weight in every frame in which the light moves: by age_factor; by exp(-displacement "
+        "/ age_displacement); or so that lag and noise are about the same, a window of displacement^(-2/3) / 2 frames",
+        unit="name",
+        source="Scherzer 2009, sec. 5; Schwaerzler 2009, sec. 5.4.1",
+    )
+    age_factor: float = setting(
+        0.9,
+        "a: factor on rho and n before each test once 1 / (1 - a) are remembered; for ageing: frames",
+        unit="1",
+        source="CATALOGUE tc_future",
+        ge=0.0,
+        lt=1.0,
+    )
+    age_displacement: float = setting(
+        0.2,
+        "displacement of the light over which weights fall to 1/e; for ageing: displacement",
+        unit="light sizes",
+        gt=0.0,
+        le=1e6,
+    )

@@ -52,13 +52,15 @@ def scene_lines(experiment: Experiment, scene: Scene) -> list[str]:
     """Meshes, light and path."""
     casters = [mesh for mesh in scene.meshes if mesh.casts]
     triangles = sum(len(mesh.faces) for mesh in scene.meshes)
-    light = scene.lights[experiment.light]
+    light = scene.light(experiment.light, experiment.frames[0])
     if not light.has_area:
         extent = "no area: all shadows are hard"
     elif light.is_directional:
         extent = f"{math.degrees(light.size):.3g} degrees wide"
     else:
         extent = f"size {light.size:.4g} scene units"
+    if _light_moves(experiment, scene):
+        extent += ", moves"
     return [
         f"{scene.name}: {len(scene.meshes)} meshes, {triangles:,} triangles, {len(casters)} meshes cast, "
         f"{sum(mesh.receives for mesh in scene.meshes)} receive, {sum(mesh.moving for mesh in scene.meshes)} move",
@@ -136,7 +138,7 @@ def _left_out_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, 
     light = scene.lights[experiment.light]
     if not casters:
         lines.append("depth maps, blocker searches and rays: no mesh casts, everything is lit")
-    elif not any(mesh.moving for mesh in casters) and len(experiment.frames) > 1:
+    elif not any(m.moving for m in casters) and len(experiment.frames) > 1 and not _light_moves(experiment, scene):
         follows = not _camera_rests(experiment, scene) and any(_follows_eye(run) for run in experiment.runs)
         maps = "depth maps that do not follow the eye" if follows else "depth maps"
         lines.append(
@@ -190,7 +192,7 @@ def _fallback_lines(experiment: Experiment, scene: Scene) -> list[str]:
         counts: dict[tuple[str, str], int] = {}
         for frame in frames if views is not None else ():
             eye = eye_view(scene.camera(frame), experiment.image.width, experiment.image.height, np.zeros(3))
-            views(scene.lights[experiment.light].centre, receivers, casters, 64, eye)
+            views(scene.light(experiment.light, frame).centre, receivers, casters, 64, eye)
             for told in set(views.left_out):
                 counts[told] = counts.get(told, 0) + 1
         lines += [
@@ -224,6 +226,15 @@ def _camera_rests(experiment: Experiment, scene: Scene) -> bool:
         np.array_equal(np.concatenate([p.eye, p.target, p.up]), np.concatenate([first.eye, first.target, first.up]))
         for p in poses
     )
+
+
+def _light_moves(experiment: Experiment, scene: Scene) -> bool:
+    """Between any two of the frames; otherwise its motion is as good as none."""
+    motion = scene.lights[experiment.light].motion
+    if motion is None:
+        return False
+    first = motion(experiment.frames[0])
+    return not all(np.array_equal(first, motion(frame)) for frame in experiment.frames)
 
 
 def _s(count: int) -> str:

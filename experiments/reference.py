@@ -50,6 +50,7 @@ TRACING_MODULES = (
     "geometry",
     "views",
     "lights",
+    "light_motion",
     "light_map",
     "sampling",
     "disc_sets",
@@ -225,7 +226,7 @@ class ReferenceRenderer:
         """
         geometry, digest = self.geometry, hashlib.sha256()
         scene = geometry.scene
-        light, camera = scene.lights[self._light_index], scene.camera(frame)
+        light, camera = scene.light(self._light_index, frame), scene.camera(frame)
         _add(digest, _code_version(self._technique), type(light).__name__, wp.get_device(self._device).is_cpu)
         _add(digest, *self._size, self._seed)
         for part in (geometry.points_ws, geometry.indices, geometry.triangle_mesh, geometry.mesh_flags):

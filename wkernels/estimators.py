@@ -16,6 +16,8 @@ does."""
 FLOAT32_LIMIT = 2.0**22
 """Largest n for sums kept in float32, a quarter of where integers stop being exact."""
 
+NO_WINDOW = wp.constant(3.0e38)  # more tests than can be remembered
+
 UNLIMITED = 3.0e38
 """No limit at all: what the papers' own buffers had."""
 
@@ -64,6 +66,36 @@ def add_test(rho: float, n: float, tau: float, weight: float, limit: float) -> w
     """
     scale = wp.where(n + weight > limit, 0.5, 1.0)
     return wp.vec2(scale * rho + weight * tau, scale * n + weight)
+
+
+@wp.func
+def age_sums(rho: float, n: float, tau: float, weight: float, window: float) -> wp.vec2:
+    """(rho, n) to which ``add_test`` is to add a test so that older ones count less: all that moves with a light.
+
+    What is remembered enters the new mean with a weight of at most ``window`` - weight: an exponential mean, rho and n
+    times a = 1 - 1 / window before every test, once there is enough to forget, and the plain mean until then.
+
+    After that n is not the sum of weights W but the *effective* number n = W^2 / Q, Q the sum of squared weights, so
+    that psi (1 - psi) / (n - 1) stays what it says: a weighted mean of independent tests has the variance psi (1 - psi)
+    Q / W^2. A test that enters a mean of effective n with the share g leaves sum of (normalised weights)^2 = (1 - g)^2
+    / n + g^2 / weight, and the new n is its inverse, exactly so for any sequence of g; neither W nor Q has to be kept.
+    With g = 1 / (n + 1) it is n + 1; with a constant g it tends to (2 - g) / g = (1 + a) / (1 - a).
+
+    Args:
+        rho: psi n so far.
+        n: Effective number so far.
+        tau: The new test.
+        weight: Its weight, 1 for a uniform light.
+        window: 1 / (1 - a), more than 1; 0 for no ageing.
+    """
+    result = wp.vec2(rho, n)
+    room = wp.max(window - weight, 0.0)
+    if window > 0.0 and n > room:
+        share = weight / (room + weight)
+        psi = (1.0 - share) * (rho / n) + share * tau
+        count = 1.0 / ((1.0 - share) * (1.0 - share) / n + share * share / weight)
+        result = wp.vec2(wp.max(psi * count - weight * tau, 0.0), wp.max(count - weight, 0.0))
+    return result
 
 
 @wp.func

@@ -109,7 +109,8 @@ def pull_footprint(frame: Session, light_map: LightMap, slot: Hashable = "centre
         return out
 
     # a map that is drawn anew is a new struct, so that the struct itself stands for everything the map depends on
-    footprint: LightFootprint = frame.product("nearest blocker", ("light footprint", slot), (light_map,), build)
+    inputs = (light_map, frame.lights.stamp)
+    footprint: LightFootprint = frame.product("nearest blocker", ("light footprint", slot), inputs, build)
     return footprint
 
 

@@ -23,8 +23,9 @@ from wkernels.history import History
 from wkernels.jitter import Jitter, jittered_view
 from wkernels.launch import launch, wake_workers
 from wkernels.light_map import LightMap
+from wkernels.light_motion import FrameLights
 from wkernels.light_samples import LightSamples
-from wkernels.light_views import scene_views
+from wkernels.light_views import fit_scene
 from wkernels.lights import Light
 from wkernels.map_shelf import MapShelf
 from wkernels.near_plane import NearPlane
@@ -91,8 +92,8 @@ class Session:
         self.geometry = geometry
         self.width, self.height = width, height
         self.device, self.threads, self.seed, self.skips = device, threads, seed, skips
-        self.light: Light = geometry.scene.lights[light_index].moved(-geometry.origin_ws)
-        self.projection: LightViews = projection or _fit_scene
+        self.lights = FrameLights(geometry.scene.lights, light_index, geometry.origin_ws)
+        self.projection: LightViews = projection or fit_scene
         self.index = index  # frame index in the scene's path
         self.count = 0  # frames since the last reset: how often history has been committed
         self.standard_error: wp.array | None = None  # a technique may set it in render
@@ -117,7 +118,7 @@ class Session:
     # -------------------------------------------------------------------------------------------------
 
     def begin(self, frame_index: int) -> None:
-        """Moves camera and geometry to a frame. Again with the same index it forgets what was built for that frame."""
+        """Moves camera, geometry and lights to a frame. Again with the same index it forgets what it built for it."""
         if frame_index == self.index:
             for product in self._products.values():
                 if product.visit == self._visit:
@@ -126,6 +127,7 @@ class Session:
             self._visit += 1
         self.index = frame_index
         self.geometry.set_frame(frame_index)
+        self.lights.begin(frame_index)
         self._camera = self.geometry.scene.camera(frame_index)
 
     def look(self, camera: Camera) -> None:
@@ -252,7 +254,7 @@ class Session:
             gb.fill_gbuffer(out, self.geometry, view, self._rasteriser)
             return out
 
-        inputs = (self.geometry.version, _camera_key(self._camera))
+        inputs = (self.geometry.version, self._camera.key)
         out: gb.GBuffer = self.product(G_BUFFER, ("g-buffer", margin), inputs, build)
         self._gbuffers[out.depth.shape] = out
         return out
@@ -276,7 +278,8 @@ class Session:
             )
 
         # the set of a temporal method moves on every frame: one slot per size, so that nothing piles up
-        samples: LightSamples = self.product("light samples", ("samples", kind, count), (start, self.seed), build)
+        inputs = (start, self.seed, self.lights.stamp)
+        samples: LightSamples = self.product("light samples", ("samples", kind, count), inputs, build)
         return samples
 
     def casters(self) -> wp.uint64:
@@ -307,6 +310,11 @@ class Session:
 
         builder: CasterTreeBuilder = self.product("caster tree", "caster tree", self.geometry.version, build)
         return builder.tree
+
+    @property
+    def light(self) -> Light:
+        """The light that is asked for, at this frame, rebased world."""
+        return self.lights.current
 
     def light_hull(self) -> LightHull:
         """The light's hull for proofs, and how far a ray must reach to leave the scene."""
@@ -382,14 +390,3 @@ class Session:
             view = eye_view(self._previous_camera, self.width, self.height, self.geometry.origin_ws, margin)
             out.previous_view = view.to_device()
         return out
-
-
-def _fit_scene(
-    sample: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int, eye: HostView
-) -> list[HostView]:
-    return scene_views(sample, receivers, casters, resolution)
-
-
-def _camera_key(camera: Any) -> Hashable:
-    numbers = [*camera.eye, *camera.target, *camera.up, camera.fov_deg, camera.near, camera.far]
-    return tuple(float(x) for x in numbers)

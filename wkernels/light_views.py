@@ -31,6 +31,11 @@ def scene_views(light_ws: np.ndarray, receivers: Bounds, casters: Bounds, resolu
     return _point_views(light_ws[:3], receivers, resolution)
 
 
+def fit_scene(sample: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int, eye: HostView) -> list[HostView]:
+    """``scene_views`` as a projection: wherever the eye is."""
+    return scene_views(sample, receivers, casters, resolution)
+
+
 def _window(x: np.ndarray, y: np.ndarray, resolution: int) -> tuple[float, float, float, float]:
     """Bounding rectangle with one texel of margin, never empty."""
     middle = 0.5 * np.array([x.min() + x.max(), y.min() + y.max()])

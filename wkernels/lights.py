@@ -6,6 +6,7 @@ A sample is a homogeneous 4-vector ``(x, y, z, w)``: ``w = 1`` for a point on th
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -40,11 +41,13 @@ class Light:
 
     Attributes:
         radiance: RGB, >= 0.
+        motion: Affine map float64 (4, 4) of the light at a frame, applied by ``light_motion``; None: it stands.
         kind: Name in scene files.
         is_directional: Whether samples are directions.
     """
 
     radiance: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    motion: Callable[[int], np.ndarray] | None = None
     kind: ClassVar[str] = ""
     is_directional: ClassVar[bool] = False
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
 import numpy as np
 
+from wkernels.light_motion import light_at
 from wkernels.lights import Light
 
 
@@ -46,6 +47,12 @@ class Camera:
     near: float
     far: float
 
+    @property
+    def key(self) -> Hashable:
+        """All of it, comparable."""
+        numbers = [*self.eye, *self.target, *self.up, self.fov_deg, self.near, self.far]
+        return tuple(float(x) for x in numbers)
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
@@ -54,7 +61,7 @@ class Scene:
     Attributes:
         name: File stem or generator name.
         meshes: All meshes, in file order.
-        lights: All lights, in file order.
+        lights: All lights, in file order, each as it is without its motion.
         camera: Camera at a frame index (any int; indices outside the path hold its ends).
         frames: Length of the path; 1 where the scene has none.
         content_hash: Hex digest over everything that changes pixels; the key of cached references.
@@ -66,3 +73,7 @@ class Scene:
     camera: Callable[[int], Camera]
     frames: int = 1
     content_hash: str = ""
+
+    def light(self, index: int, frame: int) -> Light:
+        """A light where it is at a frame."""
+        return light_at(self.lights[index], frame)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import warp as wp
 
 from wkernels.comparison_lanes import SpreadRun, first_texels
+from wkernels.estimators import NO_WINDOW
 from wkernels.filtering import NEAREST_BLOCKER, LightFootprint
 from wkernels.filtering_lanes import (
     filter_behind_blockers_run,
@@ -178,7 +179,18 @@ def update_shadow_buffer_lanes(
     is_new = Ints(0)
     starts = Ints(0)
     starting = int(0)
+    weight = settings.weight
+    # for ``age_sums``, not in an if: that would cost more than it saves
+    room = wp.where(settings.window > 0.0, wp.max(settings.window - weight, 0.0), NO_WINDOW)
+    new_share = weight / (room + weight)
+    old_share = 1.0 - new_share
     for k in range(LANES):
+        ages = n[k] > room
+        held_n = wp.where(ages, n[k], 1.0)
+        mean = old_share * (rho[k] / held_n) + new_share * tau[k]
+        count = 1.0 / (old_share * old_share / held_n + new_share * new_share / weight)
+        rho[k] = wp.where(ages, wp.max(mean * count - weight * tau[k], 0.0), rho[k])
+        n[k] = wp.where(ages, wp.max(count - weight, 0.0), n[k])
         alone[k] = of_mover[k] | (on_mover[k] * follows)
         alone_count += alone[k]
         is_new[k] = wp.where(n[k] <= 0.0, receives[k] * searches * (1 - alone[k]), 0)
@@ -204,7 +216,6 @@ def update_shadow_buffer_lanes(
     error = Floats(0.0)
     first_blockers = settings.first_blockers
     counts_tests = settings.counts_tests
-    weight = settings.weight
     limit = settings.storage.limit
     estimates = wp.where(settings.start == START_PCSS, 1, 0)
     start_weight = settings.start_weight

@@ -18,6 +18,7 @@ from wkernels.gbuffer import PADDING, GBuffer
 from wkernels.history import History
 from wkernels.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
 from wkernels.light_map import Bias
+from wkernels.light_motion import ageing_window, displacement
 from wkernels.mesh_motion import pull_mesh_motion
 from wkernels.own_umbra import pull_light_corners
 from wkernels.receiver_lanes import lane_views
@@ -45,6 +46,9 @@ class StepParams(Protocol):
     mover_surfaces: str
     mover_samples: float
     turned_away: str
+    ageing: str
+    age_factor: float
+    age_displacement: float
 
     @property
     def device_bias(self) -> Bias: ...
@@ -97,6 +101,9 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
     if p.mover_surfaces == "own_motion" and frame.geometry.moving and history.previous_index is not None:
         motion = pull_mesh_motion(frame, history.previous_index)
         out.motion, out.normal_motion, out.followed_samples = motion.points, motion.normals, p.mover_samples
+    if history.previous_index is not None:
+        moved = displacement(frame.light, frame.lights.at(history.previous_index))
+        out.window = ageing_window(moved, p.ageing, p.age_factor, p.age_displacement)
     return ShadowStep(gbuffer, history, psi_depth, error, half_width), out
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-from wkernels.estimators import add_test, fade_out, hidden_share, standard_error
+from wkernels.estimators import add_test, age_sums, fade_out, hidden_share, standard_error
 from wkernels.filtering import (
     LightFootprint,
     mean_blocker_depth,
@@ -57,6 +57,7 @@ class UpdateSettings:
     storage: Storage
     light_corners: wp.array(dtype=wp.vec4)  # of its hull: what turns away from all of it is dark at once; none: tested
     weight: float  # of this frame's light sample
+    window: float  # tests that count where the light moves, ``age_sums``; 0: all do
     light_size: float  # L: scene units, or 2 tan(angle / 2)
     has_history: int
     has_movers: int
@@ -172,6 +173,10 @@ def update_pixel(
             if record.n <= 0.0:
                 record.of_mover = 0
                 record.blocker_rise = 0.0
+
+        aged = age_sums(record.rho, record.n, test.tau, settings.weight, settings.window)
+        record.rho = aged[0]
+        record.n = aged[1]
 
         is_new = record.n <= 0.0
         is_estimated = is_new and settings.start == START_PCSS

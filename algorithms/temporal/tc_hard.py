@@ -26,8 +26,9 @@ Deviations; the original was not at hand, the formulas are those of the catalogu
 
 Known artefacts: noise where little is known (disocclusion, screen border, shadows of moving casters, which alias like
 shadow_map's); edges are smoothed over a fraction of a texel, and over ``blur`` pixels while the eye moves, where
-details smaller than that fade; a bias displaces shadows as in shadow_map; shadows lag on surfaces that rise by
-less than epsilon a frame, as points are followed by the camera's motion alone. Soft lights are reduced to their centre.
+details smaller than that fade; a bias displaces shadows as in shadow_map; shadows of a light that moves trail, and all
+lag on surfaces that rise by less than epsilon a frame, as points are followed by the camera's motion alone. Soft lights
+are reduced to their centre.
 """
 
 from __future__ import annotations

@@ -31,11 +31,15 @@ Deviations, where the paper is silent or wrong:
   at 2^22). ``cap: false`` leaves that out: a psi of 0.3 reaches 1 near frame 6800.
 - Under a mover's shadow the sums of a frame are shown, not stored, nor is a start whose blocker search met a mover: the
   next frame starts anew, so that nothing trails. ``movers`` has the ways of Schwaerzler 2009 besides, and none at all.
+- A light that moves is future work there, by age factors. ``ageing`` has them (``wkernels.estimators.age_sums``); n is
+  then the effective number of tests. By default the window follows the displacement; under a light that stands nothing
+  ages.
 
 Known artefacts: noise and flicker while n is small and where moving and static penumbrae overlap; SE = 0 is false
 certainty where all tests agree so far; the filter blurs penumbrae that are still above t;
-history blurs a little with every frame in which the eye moves, and lags on surfaces that move by less than epsilon a
-frame, as points are followed by the camera's motion alone unless ``mover_surfaces`` is ``own_motion``.
+shadows lag a little under a light that moves; history blurs a little with every frame in which the eye moves, and lags
+on surfaces that move by less than epsilon a frame, as points are followed by the camera's motion alone unless
+``mover_surfaces`` is ``own_motion``.
 """
 
 from __future__ import annotations

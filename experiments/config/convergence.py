@@ -215,12 +215,13 @@ def load_convergence(
 
 
 def held(scene: Scene, frame: int) -> Scene:
-    """The scene as it is at a frame, for ever: camera and meshes stand."""
+    """The scene as it is at a frame, for ever: camera, lights and meshes stand."""
     camera = scene.camera(frame)
     meshes = tuple(
         replace(mesh, object_to_ws=_standing(mesh.object_to_ws(frame)), moving=False) for mesh in scene.meshes
     )
-    return replace(scene, meshes=meshes, camera=lambda _: camera, frames=1)
+    lights = tuple(scene.light(i, frame) for i in range(len(scene.lights)))
+    return replace(scene, meshes=meshes, lights=lights, camera=lambda _: camera, frames=1)
 
 
 def _standing(pose: np.ndarray) -> Callable[[int], np.ndarray]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from experiments.scenes import schema
 from experiments.scenes.place import Place
+from experiments.scenes.poses import KeyframedPose, check_order
+from wkernels.light_motion import transformed
 from wkernels.lights import LIGHT_KINDS, Light
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec. 709 colours (ITU-R BT.709)
@@ -17,7 +20,7 @@ _RELATIVE_TOLERANCE = 1e-6  # of a polygon's extent: how far from planar and con
 def build_light(place: Place) -> Light:
     """The light that the mapping at ``place`` describes; raises InputError."""
     options = place.validated(place.choice("kind", schema.LIGHTS))
-    values: dict[str, Any] = options.model_dump(exclude={"kind", "texture"})
+    values: dict[str, Any] = options.model_dump(exclude={"kind", "texture", "motion"})
     fields: dict[str, Any] = {
         key: np.array(value, np.float64) if isinstance(value, (tuple, list)) and key != "radiance" else value
         for key, value in values.items()
@@ -28,7 +31,22 @@ def build_light(place: Place) -> Light:
         fields["vertices"] = _convex(fields["vertices"], place.at("vertices"))
     if isinstance(options, (schema.Rectangle, schema.Polygon)) and options.texture is not None:
         fields["texture"] = read_luminance(options.texture, place.at("texture"))
-    return LIGHT_KINDS[place.data["kind"]](**fields)
+    light = LIGHT_KINDS[place.data["kind"]](**fields)
+    return light if options.motion is None else _moving(light, options.motion, place.at("motion", "keyframes"))
+
+
+def _moving(light: Light, motion: schema.Motion, place: Place) -> Light:
+    """The light with a motion, or moved for good where no keyframe differs from the first; raises InputError."""
+    check_order([key.frame for key in motion.keyframes], place)
+    for i, key in enumerate(motion.keyframes):
+        if light.is_directional and any(key.translate):
+            raise place.at(i, "translate").error("a directional light is everywhere; only rotate_deg moves it.")
+        if light.is_directional and key.scale != (1.0, 1.0, 1.0):
+            raise place.at(i, "scale").error("a directional light has no size to scale; only rotate_deg moves it.")
+        if light.kind in ("disc", "sphere") and len(set(key.scale)) > 1:
+            raise place.at(i, "scale").error(f"a {light.kind} stays round: one factor for all axes.")
+    pose = KeyframedPose(motion, np.eye(4))
+    return replace(light, motion=pose) if pose.moving else transformed(light, pose(0))
 
 
 def _check_parallelogram(edge_u: np.ndarray, edge_v: np.ndarray, place: Place) -> None:

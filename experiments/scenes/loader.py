@@ -140,7 +140,10 @@ def content_hash(meshes: Sequence[Mesh], lights: Sequence[Light], camera: Camera
         digest.update(light.kind.encode())
         for item in fields(light):
             value = getattr(light, item.name)
-            add(() if value is None else value)
+            if item.name != "motion":
+                add(() if value is None else value)
+            elif isinstance(value, KeyframedPose):
+                add(*value.description)
     fixed = camera.options
     add(camera.eye_target(np.arange(frames, dtype=np.float64)), fixed.up, [fixed.fov_deg, fixed.near, fixed.far])
     return digest.hexdigest()

@@ -49,7 +49,7 @@ class MotionKeyframe(Transform):
 
 
 class Motion(StrictModel):
-    """Keyframes between which a mesh moves: linear, rotations the shorter way round; the ends are held."""
+    """Keyframes between which a mesh or light moves: linear, rotations the shorter way round; the ends are held."""
 
     keyframes: Annotated[list[MotionKeyframe], Field(min_length=1)]
 
@@ -130,6 +130,7 @@ class LightOptions(StrictModel):
     """Keys that every light takes."""
 
     radiance: tuple[NonNegative, NonNegative, NonNegative] = (1.0, 1.0, 1.0)
+    motion: Motion | None = None
 
 
 class Point(LightOptions):

@@ -275,6 +275,7 @@ OVER_TIME: list[tuple[str, dict[str, Any]]] = [
     ("tc_soft_paper", {"history": "nearest", "filter_width": "penumbra"}),
     ("tc_soft_paper", {"movers": "gradual", "start_weight": 4.0, "mover_surfaces": "own_motion"}),
     ("tc_soft_paper", {"movers": "at_once", "start": "sample"}),
+    ("tc_soft_paper", {"ageing": "frames", "age_factor": 0.7}),
     ("tc_soft_thesis", {}),
     ("tc_soft_thesis", {"start": "blur", "blocker_mean": "frames", "mover_surfaces": "own_motion"}),
     ("tc_soft_thesis", {"start": "blur", "movers": "at_once", "kernel": "poisson", "zero_blur": "rejected"}),
@@ -282,7 +283,7 @@ OVER_TIME: list[tuple[str, dict[str, Any]]] = [
 
 
 @pytest.mark.parametrize(("name", "params"), OVER_TIME)
-@pytest.mark.parametrize("scene", ["overlap", "moving_blocker"])
+@pytest.mark.parametrize("scene", ["overlap", "moving_blocker", "moving_light"])
 def test_a_shadow_buffer_in_lanes_remembers_what_the_plain_one_does(
     scene: str, name: str, params: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,6 +6,7 @@ import csv
 import re
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -125,6 +126,11 @@ def test_a_still_scene_stands(load: Load) -> None:
         np.testing.assert_array_equal(scene.meshes[1].object_to_ws(frame), moving.meshes[1].object_to_ws(4))
     assert moving.meshes[1].moving and not scene.meshes[1].moving  # what stands must not count as a mover
     assert held(scene, 0).frames == 1
+    swings = replace(moving, lights=(replace(moving.lights[0], motion=moving.meshes[1].object_to_ws),))
+    lamp = held(swings, 4).light(0, 9)
+    assert lamp.motion is None
+    np.testing.assert_array_equal(lamp.centre, swings.light(0, 4).centre)
+    assert not np.array_equal(swings.light(0, 4).centre, swings.light(0, 9).centre)
 
 
 def test_the_resolved_file_gives_the_same(load: Load) -> None:

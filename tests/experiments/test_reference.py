@@ -106,6 +106,18 @@ def not_casting(of: Scene) -> Scene:
     return replace(of, meshes=(of.meshes[0], replace(of.meshes[1], casts=False)))
 
 
+def test_a_light_that_moves_has_a_reference_of_every_frame_and_shares_those_of_a_still_one(cache: Path) -> None:
+    of = scene()
+    of = replace(of, meshes=(of.meshes[0], replace(of.meshes[1], object_to_ws=lambda frame: np.eye(4), moving=False)))
+    moving = replace(of, lights=(replace(of.lights[0], motion=lambda frame: slide(2 * (frame // 2))),))
+    made = [render(moving, frame=frame) for frame in range(3)]
+    assert [m.from_cache for m in made] == [False, True, False], "it rests in the second frame"
+    assert not same(made[0], made[2])
+    there = replace(of, lights=(moving.light(0, 2),))
+    assert render(there).from_cache and same(render(there), made[2])
+    assert render(of).from_cache and same(render(of), made[0])
+
+
 @pytest.mark.parametrize(
     ("change", "settings"),
     [

@@ -105,6 +105,22 @@ def test_motion_without_change_is_not_moving():
     assert not scene({"primitive": "box", "size": [1, 1, 1], "motion": {"keyframes": keys}}).meshes[0].moving
 
 
+def test_a_light_moves_as_a_mesh_does():
+    keys = [{"frame": 0}, {"frame": 10, "translate": [4, 0, 2], "rotate_deg": [0, 90, 0]}]
+    light = {**LIGHT, "motion": {"keyframes": keys}}
+    loaded = load_scene({"meshes": [], "lights": [light], "camera": CAMERA})
+    still = load_scene({"meshes": [], "lights": [LIGHT], "camera": CAMERA}).lights[0]
+    mesh = scene({"primitive": "box", "size": [1, 1, 1], "motion": {"keyframes": keys}}).meshes[0]
+    for frame in (-3, 0, 4, 10, 99):
+        matrix, moved = mesh.object_to_ws(frame), loaded.light(0, frame)
+        np.testing.assert_allclose(moved.centre, matrix @ still.centre, atol=1e-12)
+        np.testing.assert_allclose(moved.hull, still.hull @ matrix.T, atol=1e-12)
+    constant = {"keyframes": [{"frame": 0, "translate": [1, 0, 0]}, {"frame": 9, "translate": [1, 0, 0]}]}
+    placed = load_scene({"meshes": [], "lights": [{**LIGHT, "motion": constant}], "camera": CAMERA}).lights[0]
+    assert placed.motion is None
+    np.testing.assert_allclose(placed.centre[:3], still.centre[:3] + np.array([1.0, 0.0, 0.0]))
+
+
 def test_all_light_kinds_load():
     lights = [
         {"kind": "point", "position": [0, 5, 0]},
@@ -231,6 +247,8 @@ def test_content_hash_follows_pixels_and_nothing_else():
         scene(box, box),
         scene(box, lights=[{**LIGHT, "edge_u": [2.1, 0, 0]}]),
         scene(box, lights=[{**LIGHT, "radiance": [1, 1, 2]}]),
+        scene(box, lights=[{**LIGHT, "motion": motion}]),
+        scene(box, lights=[{**LIGHT, "motion": {"keyframes": [*motion["keyframes"], {"frame": 9}]}}]),
         scene(box, camera={**CAMERA, "fov_deg": 61}),
         scene(box, camera={**CAMERA, "eye": [0, 2, 5.5]}),
         scene(box, path={"frames": 2, "orbit": {"center": [0, 0, 0], "radius": 5}}),
