@@ -13,12 +13,14 @@ import numpy as np
 
 from experiments.map_metrics import MAP_DESCRIPTORS, MAP_METRICS
 from experiments.measured import HARD_EDGE, Measured, Metric, beside_hard_edge
+from experiments.shadow_scores import SCORE_DESCRIPTORS, SCORES
 
 __all__ = [
     "GROUPS",
     "HARD_EDGE",
     "MAP_METRICS",
     "METRICS",
+    "SCORES",
     "Measured",
     "Metric",
     "beside_hard_edge",
@@ -197,6 +199,7 @@ METRICS: Mapping[str, Metric] = {
             evaluate=_flicker,
         ),
         *MAP_DESCRIPTORS,
+        *SCORE_DESCRIPTORS,
     )
 }
 

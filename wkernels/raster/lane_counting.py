@@ -263,9 +263,7 @@ def count_band(
         for k in range(wp.min(LANES, list_end - i0)):
             if wide[k] != 0:
                 box = wp.vec4i(x0[k], y0[k], x1[k], y1[k])
-                count_wide(
-                    target, corners, corner_pitch, vertex, key, listed[k], box, front_weight, back_weight, steps
-                )
+                count_wide(target, corners, corner_pitch, vertex, key, listed[k], box, front_weight, back_weight, steps)
             else:
                 weight = wp.where(front[k] == 1, front_weight, back_weight)
                 low_piece = Piece(lowest[k])
