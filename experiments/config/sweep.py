@@ -37,7 +37,7 @@ class SweepFile(RunFile):
     kind: Literal["sweep"]
     scene: str | dict[str, Any] | None = None
     scenes: list[str | dict[str, Any]] | None = None
-    techniques: Literal["all"] | Annotated[list[str | dict[str, Any]], Field(min_length=1)]
+    techniques: str | list[str | dict[str, Any]]
     budgets: list[Budget] | None = None
 
 
@@ -153,6 +153,9 @@ def load_sweep(path: str | Path, overrides: Iterable[str] = (), plugins: Mapping
 def _entries(source: Source, file: SweepFile, plugins: Mapping[str, type]) -> tuple[list[tuple[Loc, Any]], set[Loc]]:
     """Places and entries with ``all`` replaced by every plugin that no other entry names, and the others' places."""
     written: Sequence[tuple[Loc, Any]] = [(("techniques",), ALL)]
+    if isinstance(file.techniques, str) and file.techniques != ALL:
+        message = f"must be '{ALL}' or a list of techniques, not '{file.techniques}'."
+        raise source.error(message, ("techniques",))
     if isinstance(file.techniques, list):
         written = [(("techniques", i), entry) for i, entry in enumerate(source.data["techniques"])]
     names = {name for _, entry in written for name in (entry if isinstance(entry, dict) else [entry])}
@@ -163,7 +166,7 @@ def _entries(source: Source, file: SweepFile, plugins: Mapping[str, type]) -> tu
     for loc, entry in written:
         out += [(loc, name) for name in plugins if name not in names] if entry == ALL else [(loc, entry)]
     if not out:
-        raise source.error("there is no technique.", ("techniques",))
+        raise source.error(f"must list at least one technique, or be '{ALL}'.", ("techniques",))
     return out, {loc for loc, entry in written if entry != ALL}
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from experiments.metrics import outdated
 from experiments.sweep.store import SweepStore
 from experiments.tables import write_text
 
@@ -46,6 +47,7 @@ def write_sweep_report(folder: Path) -> Path:
         plots=[(path.stem.removeprefix("pareto_"), _data_url(path)) for path in _plots(store)],
         scenes=[name for name in store.scene_names() if (store.scene(name) / "report.html").is_file()],
         tables=tables,
+        outdated=outdated(told["metrics"]),
         config=(store.out / "config.yaml").read_text(encoding="utf-8"),
     )
     write_text(store.out / "report.html", text)

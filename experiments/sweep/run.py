@@ -50,6 +50,7 @@ def run_sweep(
     plugins: Mapping[str, type],
     progress: Progress | None = None,
     engine: Callable[[Experiment], Engine] | None = None,
+    report: bool = True,
 ) -> Path:
     """Runs every scene of a sweep as a walkthrough, writes its report, and tables and report over all of them.
 
@@ -65,6 +66,7 @@ def run_sweep(
         plugins: Technique classes by name.
         progress: Is told what happens; counts frames of labels over all scenes.
         engine: Makes the renderer of a scene's experiment; None for ``WarpEngine``.
+        report: Whether to write the scenes' summaries, plots and pages, and those over all of them.
 
     Returns:
         The result folder.
@@ -86,15 +88,18 @@ def run_sweep(
         options: dict[str, Any] = {"device": device, "threads": threads, "skips": skips, "plugins": plugins}
         try:
             _run_scene(scene, store.scene(scene.name), resume, tell, engine, options)
+            if report:
+                tell(len(scene.experiment.runs) * len(scene.experiment.frames), 0, "writing the report")
+                _report_scene(store.scene(scene.name))
         except InputError:
             raise
         except Exception as error:
             failures.append(_record(store, scene.name, error))
         before += len(scene.experiment.runs) * len(scene.experiment.frames)
         write_tables(store, failures)
-    if progress:
-        progress(total, total, "writing the report")
-    if store.rows("pareto"):
+    if report and store.rows("pareto"):
+        if progress:
+            progress(total, total, "writing the report")
         write_sweep(store.out, scene_failures=failures)
     if progress:
         progress(total, total, "done")
@@ -111,9 +116,6 @@ def _run_scene(
     engine: Callable[[Experiment], Engine] | None,
     options: dict[str, Any],
 ) -> None:
-    from experiments.report import write_report
-    from experiments.summary import write_summary
-
     frames = len(scene.experiment.frames)
     unserved = [
         {"label": run.label, "what": "every frame: the scene does not serve it", "reason": why, "count": frames}
@@ -134,7 +136,12 @@ def _run_scene(
         )
     except TechniquesFailed:
         pass  # rows of failures.csv already
-    tell(frames * len(scene.experiment.runs), 0, "writing the report")
+
+
+def _report_scene(folder: Path) -> None:
+    from experiments.report import write_report
+    from experiments.summary import write_summary
+
     write = write_report if Store(folder).rows("frames") else write_summary
     write(folder)
 

@@ -73,9 +73,11 @@ def write_sweep(out: str | Path, *, recompute: bool = False, scene_failures: Seq
     store = SweepStore(Path(out))
     if recompute:
         for name in store.scene_names():
-            if Store(store.scene(name)).rows("frames"):
-                recompute_metrics(store.scene(name))
-                write_report(store.scene(name))
+            scene = Store(store.scene(name))
+            if scene.rows("frames"):
+                recompute_metrics(scene.out)
+                write_report(scene.out)
+                store.update_environment(metrics=scene.environment()["metrics"])
     if scene_failures is None:
         scene_failures = [row for row in store.rows("failures") if not row["label"]]
     try:
