@@ -71,11 +71,14 @@ def run(
 @app.command()
 def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Result folder of a run.", show_default=False)],
+    recompute: Annotated[
+        bool, typer.Option("--recompute", help="Compute the metrics again from the raw images first.")
+    ] = False,
 ) -> None:
     """Write the report of a result folder again, from its files alone."""
     from experiments.commands.run import report_folder
 
-    report_folder(folder)
+    report_folder(folder, recompute=recompute)
 
 
 @app.command()

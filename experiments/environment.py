@@ -33,7 +33,7 @@ def describe_run(experiment: Experiment, engine: Engine, *, skips: bool) -> dict
     light = engine.scene.lights[experiment.light]
     return {
         "identity": {
-            "config": _digest(experiment.to_yaml().encode()),
+            "config": text_digest(experiment.to_yaml()),
             "scene": engine.scene.content_hash,
             **{f"plugin {name}": file_digest(inspect.getfile(engine.plugins[name])) for name in used},
             "device": engine.device,
@@ -54,7 +54,7 @@ def describe_run(experiment: Experiment, engine: Engine, *, skips: bool) -> dict
             "repeats": experiment.repeats,
             "baseline": experiment.baseline,
             "labels": [
-                {"label": run.label, "technique": run.name, **_declared(engine.plugins[run.name])}
+                {"label": run.label, "technique": run.name, **declared(engine.plugins[run.name])}
                 for run in experiment.runs
             ],
         },
@@ -80,7 +80,8 @@ def describe_machine(device: str, threads: int) -> dict[str, Any]:
     }
 
 
-def _declared(cls: Any) -> dict[str, Any]:
+def declared(cls: Any) -> dict[str, Any]:
+    """What a technique declares of itself, for reports."""
     paper = getattr(cls, "paper", ())
     return {
         "family": getattr(cls, "family", None),
@@ -88,6 +89,11 @@ def _declared(cls: Any) -> dict[str, Any]:
         "bias_sign": getattr(cls, "bias_sign", None),
         "history": bool(getattr(getattr(cls, "needs", None), "history", False)),
     }
+
+
+def text_digest(text: str) -> str:
+    """Short SHA-256 of a text."""
+    return _digest(text.encode())
 
 
 def _digest(data: bytes) -> str:

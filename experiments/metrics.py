@@ -13,18 +13,21 @@ import numpy as np
 
 from experiments.map_metrics import MAP_DESCRIPTORS, MAP_METRICS
 from experiments.measured import HARD_EDGE, Measured, Metric, beside_hard_edge
+from experiments.shadow_scores import SCORE_DESCRIPTORS, SCORES
 
 __all__ = [
     "GROUPS",
     "HARD_EDGE",
     "MAP_METRICS",
     "METRICS",
+    "SCORES",
     "Measured",
     "Metric",
     "beside_hard_edge",
     "distinguishable",
     "evaluate",
     "flip_map",
+    "outdated",
     "signed_error",
 ]
 
@@ -197,6 +200,7 @@ METRICS: Mapping[str, Metric] = {
             evaluate=_flicker,
         ),
         *MAP_DESCRIPTORS,
+        *SCORE_DESCRIPTORS,
     )
 }
 
@@ -210,6 +214,20 @@ def evaluate(names: frozenset[str], measured: Measured) -> dict[str, float | Non
         metric.name: metric.evaluate(measured) if metric.always or metric.name in names else None
         for metric in METRICS.values()
     }
+
+
+def outdated(versions: Mapping[str, int]) -> list[str]:
+    """Sentences about the metrics of a folder that are defined otherwise now, or are new; see ``Metric.version``.
+
+    Args:
+        versions: ``metrics`` of its environment.json.
+    """
+    other = [m for m in METRICS.values() if m.name in versions and versions[m.name] != m.version]
+    new = [m.title for m in METRICS.values() if m.name not in versions and m.always]
+    out = [f"{m.title} is that of version {versions[m.name]}; this program has version {m.version}." for m in other]
+    if new:
+        out.append(f"Older than the scores {', '.join(new)}, which are missing.")
+    return out
 
 
 def distinguishable(difference: float | None, reference_standard_error: float | None) -> bool | None:

@@ -7,7 +7,7 @@ comes before the first frame and is never timed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -20,6 +20,7 @@ from experiments.environment import describe_run
 from experiments.images import error_view, shaded_view, visibility_view, write_exr, write_png
 from experiments.lanes import Lane, Timing, pass_medians, timing_columns
 from experiments.store import Store
+from experiments.tables import Row
 from wkernels.errors import InputError
 
 if TYPE_CHECKING:
@@ -64,6 +65,8 @@ def run(
     progress: Progress | None = None,
     engine: Engine | None = None,
     report: bool = True,
+    left_out: Sequence[Row] = (),
+    refusals_fail: bool = False,
 ) -> Path:
     """Runs an experiment and writes its result folder (DESIGN section 6).
 
@@ -78,6 +81,9 @@ def run(
         progress: Is told what happens.
         engine: Renderer to use instead of ``WarpEngine``, which the arguments above configure.
         report: Whether to write summary.csv, plots and report.html at the end.
+        left_out: Rows of left_out.csv that are known before.
+        refusals_fail: A technique that refuses its input in the warm-up has failed, as by any other exception, and the
+            rest goes on.
 
     Returns:
         The result folder.
@@ -95,9 +101,10 @@ def run(
     environment = describe_run(experiment, engine, skips=skips)
     store = Store.open(out, experiment.to_yaml(), environment, resume=resume)
     tell = progress or (lambda done, total, what: None)
-    walkthrough = _Walkthrough(experiment, engine, store, tell)
+    walkthrough = _Walkthrough(experiment, engine, store, tell, refusals_fail)
     try:
         store.start_tables()
+        store.append_once("left_out", left_out)
         walkthrough.render_all()
     finally:
         store.close()
@@ -115,8 +122,11 @@ def run(
 
 
 class _Walkthrough:
-    def __init__(self, experiment: Experiment, engine: Engine, store: Store, tell: Progress) -> None:
+    def __init__(
+        self, experiment: Experiment, engine: Engine, store: Store, tell: Progress, refusals_fail: bool
+    ) -> None:
         self.experiment, self.engine, self.store, self.tell = experiment, engine, store, tell
+        self.refusals_fail = refusals_fail
         stored = store.done()
         failed = {row["label"] for row in store.rows("failures")}
         self.lanes = [
@@ -163,9 +173,9 @@ class _Walkthrough:
                 lane.session.render(lane.technique)
                 lane.session.advance()
             lane.session.reset()
-        except InputError:
-            raise
         except Exception as error:
+            if isinstance(error, InputError) and not self.refusals_fail:
+                raise
             self._fail(lane, self.experiment.frames[0], error)
 
     def _render_timed(self, frame: int, lanes: list[Lane]) -> None:
@@ -216,6 +226,11 @@ class _Walkthrough:
         if reference is not None or frame == self.experiment.frames[-1]:
             self._store_images(lane.label, frame, result, reference)
         skipped = self._store_views(lane, frame, result, reference)
+        repeats = [
+            {**key, "repeat": i, "frame_ms": timing.frame_ms, "shadow_ms": timing.shadow_ms}
+            for i, timing in enumerate(lane.timings)
+        ]
+        self.store.append("repeats", repeats)
         self.store.append("passes", [{**key, "pass": name, "ms": ms} for name, ms in pass_medians(lane.timings)])
         left_out = [
             {"label": lane.label, "frame": frame, "what": what, "reason": reason, "count": count}

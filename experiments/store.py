@@ -15,8 +15,8 @@ from types import MappingProxyType
 from typing import Any, Literal, Self
 
 from experiments.config.source import load_yaml
-from experiments.metrics import MAP_METRICS, METRICS
-from experiments.tables import Row, Table, read_table, table_text, write_text
+from experiments.metrics import MAP_METRICS, METRICS, SCORES
+from experiments.tables import Row, Table, cell, read_table, table_text, write_text
 from wkernels.errors import InputError
 
 FRAME_COLUMNS = (
@@ -24,13 +24,15 @@ FRAME_COLUMNS = (
     "rmse", "mean_signed_error", "p99_error", "flip", "standard_error", "reference_standard_error",
     "m_x_max", "m_z_max", "flicker",
     "frame_ms_q1", "frame_ms_q3", "shadow_ms_q1", "shadow_ms_q3", "receiver_pixels", "disoccluded",
-    *MAP_METRICS,
+    *MAP_METRICS, *SCORES,
 )  # fmt: skip
+REPEAT_COLUMNS = ("technique", "label", "frame", "repeat", "frame_ms", "shadow_ms")
 PASS_COLUMNS = ("technique", "label", "frame", "pass", "ms")
 LEFT_OUT_COLUMNS = ("label", "what", "reason", "count", "frame")
 FAILURE_COLUMNS = ("technique", "label", "frame", "error")
 TABLES: Mapping[str, tuple[str, ...]] = {
     "frames": FRAME_COLUMNS,
+    "repeats": REPEAT_COLUMNS,
     "passes": PASS_COLUMNS,
     "left_out": LEFT_OUT_COLUMNS,
     "failures": FAILURE_COLUMNS,
@@ -117,7 +119,7 @@ class Store:
         if not self._is_ours():
             raise InputError("holds other files and no earlier run; give a new or empty folder with --out.", file=out)
         config_file = out / "config.yaml"
-        started = any(self.rows(name) for name in ("frames", "convergence", "failures"))
+        started = self.started()
         if started:
             self._check_same(config_file, config, environment, resume)
         if started and resume:
@@ -128,6 +130,10 @@ class Store:
         # In this order: what a kill in between leaves behind is still known to be ours.
         write_text(out / "environment.json", _json(environment))
         write_text(config_file, config)
+
+    def started(self) -> bool:
+        """Whether there is anything that a resumed run would keep."""
+        return any(self.rows(name) for name in ("frames", "convergence", "failures"))
 
     def _is_ours(self) -> bool:
         """Whether everything here may be replaced: nothing is here, or a run that this module began."""
@@ -168,8 +174,8 @@ class Store:
         done = self.done()
         for name, columns in self.tables.items():
             rows = self.rows(name)
-            if name in ("passes", "left_out"):
-                rows = [row for row in rows if (row["label"], int(row["frame"])) in done]
+            if name in ("repeats", "passes", "left_out"):  # a row without a frame is about the whole run
+                rows = [row for row in rows if not row["frame"] or (row["label"], int(row["frame"])) in done]
             write_text(self.out / f"{name}.csv", table_text(columns, rows))
 
     # ---- Rows ----
@@ -179,6 +185,12 @@ class Store:
         if table not in self._tables:
             self._tables[table] = Table(self.out / f"{table}.csv", self.tables[table])
         self._tables[table].append(rows)
+
+    def append_once(self, table: str, rows: Sequence[Row]) -> None:
+        """Adds those rows that are not there yet, which an earlier part of the run may have added."""
+        names = self.tables[table]
+        there = {tuple(row[name] for name in names) for row in self.rows(table)}
+        self.append(table, [row for row in rows if tuple(cell(row.get(name)) for name in names) not in there])
 
     def record_failure(self, technique: str, label: str, place: int, error: Exception) -> None:
         """Adds a row to failures.csv and a file with the traceback; ``place`` is the frame or step."""

@@ -49,8 +49,10 @@ def bounding_ellipsoid(vertices: np.ndarray) -> Ellipsoid | None:
     if len(vertices) < 2:
         return None
     centre = vertices.mean(axis=0)
-    _, spread, directions = np.linalg.svd(vertices - centre, full_matrices=True)
-    spread = np.append(spread, np.zeros(3 - len(spread))) / np.sqrt(len(vertices))
+    # three rows at least, so that there are three directions; full matrices would have a side of n
+    rows = np.concatenate([vertices - centre, np.zeros((max(0, 3 - len(vertices)), 3))])
+    _, spread, directions = np.linalg.svd(rows, full_matrices=False)
+    spread = spread / np.sqrt(len(vertices))
     spread = np.maximum(spread, THINNEST * spread[0])
     reach = np.linalg.norm((vertices - centre) @ directions.T / spread, axis=1).max()
     axes = directions.T * (spread * reach)

@@ -21,7 +21,8 @@ def report_failure(error: Exception) -> int:
     if isinstance(error, InputError):
         print(f"error: {error}", file=sys.stderr)
         return INPUT_IS_WRONG
-    if type(error).__name__ == "TechniquesFailed":  # by name: importing the runner here would cost a second
+    # by name: importing the runner here would cost a second
+    if type(error).__name__ in ("TechniquesFailed", "SweepFailed"):
         print(f"error: {error}", file=sys.stderr)
         return DEFECT
     short = "".join(traceback.format_exception_only(error)).strip().splitlines()

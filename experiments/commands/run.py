@@ -12,6 +12,7 @@ from typing import Any
 from algorithms.plugins import load_all
 from experiments.commands.progress import progress_display
 from experiments.config.kinds import kind_of
+from wkernels.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,12 @@ def run_experiment(
 ) -> None:
     """Runs an experiment, which writes its report, and says where that is."""
     options = {"device": device, "threads": threads, "resume": resume, "skips": skips}
-    kinds = {"analysis": _run_analysis, "convergence": _run_convergence, "stability": _run_stability}
+    kinds = {
+        "analysis": _run_analysis,
+        "convergence": _run_convergence,
+        "stability": _run_stability,
+        "sweep": _run_sweep,
+    }
     run = kinds.get(kind_of(config, overrides) or "", _run_walkthrough)
     run(_Request(config, out, overrides, plugin_files, options))
 
@@ -107,6 +113,21 @@ def _run_stability(request: _Request) -> None:
     print(f"{summary_text(read_table(table))}\nTable: {table}\nReport: {folder / 'report.html'}")
 
 
+def _run_sweep(request: _Request) -> None:
+    from experiments.config.sweep import load_sweep
+    from experiments.sweep.run import run_sweep
+    from experiments.tables import read_table
+
+    plugins = load_all(request.plugin_files)
+    sweep = load_sweep(request.config, request.overrides, plugins)
+    folder = request.folder(sweep.name)
+    with _interruptible(folder), progress_display() as progress:
+        run_sweep(sweep, folder, plugins=plugins, progress=progress, **request.options)
+    for row in read_table(folder / "recommendation.csv"):
+        print(f"{row['scene']}: {row['reason']}")
+    print(f"Report: {folder / 'report.html'}")
+
+
 @contextmanager
 def _interruptible(folder: Path) -> Iterator[None]:
     try:
@@ -123,17 +144,27 @@ def _print_published(folder: Path) -> None:
         print(f"{text}\n")
 
 
-def report_folder(folder: Path) -> None:
-    """Writes the report of a result folder again."""
-    from experiments.report import write_report
+def report_folder(folder: Path, *, recompute: bool = False) -> None:
+    """Writes the report of a result folder again; ``recompute`` computes its metrics again first."""
+    from experiments.report import recompute_metrics, write_report
     from experiments.report.convergence import write_convergence_report
     from experiments.report.stability import is_stability, write_stability_report
+    from experiments.sweep.store import is_sweep
+    from experiments.sweep.write import write_sweep
 
-    if is_stability(folder):
-        print(f"Report: {write_stability_report(folder)}")
+    if is_sweep(folder):
+        print(f"Report: {write_sweep(folder, recompute=recompute)}")
         return
-    write = write_convergence_report if (folder / "convergence.csv").is_file() else write_report
-    print(f"Report: {write(folder)}")
+    of_kind = {"stability": is_stability(folder), "convergence": (folder / "convergence.csv").is_file()}
+    for kind, write in (("stability", write_stability_report), ("convergence", write_convergence_report)):
+        if of_kind[kind]:
+            if recompute:
+                raise InputError(f"is of the kind {kind}, whose rows cannot be computed again.", file=folder)
+            print(f"Report: {write(folder)}")
+            return
+    if recompute:
+        print(f"{recompute_metrics(folder)} rows computed again from their images.")
+    print(f"Report: {write_report(folder)}")
 
 
 def explain_experiment(config: Path, *, overrides: Sequence[str], plugin_files: Sequence[Path]) -> None:
@@ -151,6 +182,11 @@ def explain_experiment(config: Path, *, overrides: Sequence[str], plugin_files: 
         from experiments.stability.run import explain_stability
 
         print(explain_stability(load_stability(config, overrides, plugins), plugins))
+    elif kind == "sweep":
+        from experiments.config.sweep import load_sweep
+        from experiments.sweep.run import explain_sweep
+
+        print(explain_sweep(load_sweep(config, overrides, plugins), plugins))
     elif kind == "convergence":
         from experiments.config.convergence import Estimates, load_convergence
         from experiments.convergence import explain_convergence

@@ -132,7 +132,7 @@ def _read(path: str | Path, overrides: Iterable[str]) -> Source:
     source = load_yaml(Path(path))
     if not isinstance(source.data, dict):
         return source
-    return apply_overrides(source, overrides, lambda unchanged: unchanged)
+    return apply_overrides(source, overrides)
 
 
 def _curve(source: Source, loc: Loc, written: CurveFile, file: AnalysisFile, earlier: list[str]) -> Curve:

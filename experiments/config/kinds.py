@@ -17,7 +17,7 @@ def kind_of(path: str | Path, overrides: Iterable[str] = ()) -> str | None:
         source = load_yaml(Path(path))
         if not isinstance(source.data, Mapping):
             return None
-        kind = apply_overrides(source, own, lambda unchanged: unchanged).data.get("kind")
+        kind = apply_overrides(source, own).data.get("kind")
     except InputError:
         return None
     return kind if isinstance(kind, str) else None

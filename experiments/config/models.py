@@ -180,19 +180,24 @@ class Views(StrictModel):
     texels: int | None = Field(None, ge=1, le=8192)
 
 
-class WalkthroughFile(StrictModel):
-    """An experiment file of ``kind: walkthrough``; ``Experiment`` says what the keys mean."""
+class RunFile(StrictModel):
+    """What walkthroughs and sweeps have in common; ``Experiment`` says what the keys mean."""
 
-    kind: Literal["walkthrough"]
-    scene: str | dict[str, Any]
     image: Image
     reference: Reference | None = None
     metrics: list[str] | None = None
     projection: Projection | None = None
-    techniques: list[str | dict[str, Any]] = Field(min_length=1)
     baseline: str | None = None
     repeats: int = Field(1, ge=1, le=1000)
     seed: int = Field(1, ge=0, le=2**31 - 1)
     frames: Annotated[int, Field(ge=1)] | FrameRange | None = None
     light: int = Field(0, ge=0)
     views: Views | None = None
+
+
+class WalkthroughFile(RunFile):
+    """An experiment file of ``kind: walkthrough``."""
+
+    kind: Literal["walkthrough"]
+    scene: str | dict[str, Any]
+    techniques: list[str | dict[str, Any]] = Field(min_length=1)

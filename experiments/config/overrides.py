@@ -10,13 +10,16 @@ from experiments.config.source import Source, parse_yaml
 from wkernels.errors import InputError
 
 
-def apply_overrides(source: Source, overrides: Iterable[str], inline: Callable[[Source], Source]) -> Source:
+def apply_overrides(
+    source: Source, overrides: Iterable[str], inline: Callable[[Source, Loc], Source] | None = None
+) -> Source:
     """The source with every ``key.path=value`` applied, in order; list items are addressed by index.
 
     Args:
         source: The experiment file.
         overrides: Texts as given to ``--set``; values are YAML.
-        inline: Called before the first change inside a scene that is a file name; puts the scene's data in its place.
+        inline: Called before the first change inside a scene that is a file name, with its place: ``scene`` or an item
+            of ``scenes``; puts the scene's data there. None for files without scenes.
 
     Raises:
         InputError: No ``=``, an empty key, a value that is no YAML, or a path through something without keys.
@@ -27,12 +30,23 @@ def apply_overrides(source: Source, overrides: Iterable[str], inline: Callable[[
         keys = path.strip().split(".")
         if not equals or not all(keys):
             raise InputError("must have the form key.path=value.", file=origin)
-        if keys[0] == "scene" and len(keys) > 1 and isinstance(source.data.get("scene"), str):
-            source = inline(source)
+        scene = _scene_file(source, keys)
+        if scene and inline:
+            source = inline(source, scene)
         value = parse_yaml(value_text, origin).data if value_text.strip() else None
         source, loc = _located(source, keys, origin)
         source = source.replaced(loc, value, origin)
     return source
+
+
+def _scene_file(source: Source, keys: list[str]) -> Loc:
+    """Place of the scene that the keys lead into, if it is a file name; else empty."""
+    if keys[0] == "scene" and len(keys) > 1 and isinstance(source.data.get("scene"), str):
+        return ("scene",)
+    scenes = source.data.get("scenes")
+    if keys[0] == "scenes" and len(keys) > 2 and isinstance(scenes, list) and keys[1] in map(str, range(len(scenes))):
+        return ("scenes", int(keys[1])) if isinstance(scenes[int(keys[1])], str) else ()
+    return ()
 
 
 def _located(source: Source, keys: list[str], origin: str) -> tuple[Source, Loc]:

@@ -6,7 +6,7 @@ can be run again.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 from pydantic_core import to_jsonable_python
 
 from experiments.config.messages import Loc
-from experiments.config.models import FrameRange, Image, Projection, Reference, Views, WalkthroughFile
+from experiments.config.models import FrameRange, Image, Projection, Reference, RunFile, Views, WalkthroughFile
 from experiments.config.needs import check_needs
 from experiments.config.overrides import apply_overrides
 from experiments.config.source import Source, dump_yaml, load_yaml, validate
@@ -26,7 +26,7 @@ from wkernels.scene import Scene
 __all__ = ["Experiment", "FrameRange", "Image", "Projection", "Reference", "Views", "check_needs", "load_experiment"]
 
 KINDS = ("walkthrough", "convergence", "sweep", "stability", "analysis", "bench")
-AVAILABLE_KINDS = ("walkthrough", "convergence", "stability", "analysis")
+AVAILABLE_KINDS = ("walkthrough", "convergence", "sweep", "stability", "analysis")
 REFERENCE_METRICS = frozenset({"rmse", "mean_signed_error", "p99_error", "flip", "reference_standard_error"})
 
 
@@ -122,22 +122,31 @@ def read_experiment(path: Path, overrides: Iterable[str]) -> Source:
     source = load_yaml(path)
     if not isinstance(source.data, dict):
         raise source.error("must be a mapping with the keys kind, scene, image, techniques, ...")
-    return apply_overrides(source, overrides, lambda s: _inline_scene(s, path.resolve().parent))
+    return apply_overrides(source, overrides, lambda s, loc: _inline_scene(s, path.resolve().parent, loc))
 
 
-def open_scene(source: Source, base: Path, light: int) -> tuple[Path | dict[str, Any], Scene]:
+def open_scene(
+    source: Source, base: Path, light: int, loc: Loc = ("scene",), name: str | None = None
+) -> tuple[Path | dict[str, Any], Scene]:
     """The scene of an experiment: where it comes from, as ``Experiment.scene`` says it, and itself.
+
+    Args:
+        source: The experiment file.
+        base: Folder that file names are relative to.
+        light: Index that the experiment uses.
+        loc: Place of the scene.
+        name: Name of a scene that is not a file's; its first generator's unless given.
 
     Raises:
         InputError: There is no such file, something in it is wrong, or it has no light of that index.
     """
     from experiments.scenes import load_scene, scene_from_source
 
-    scene_source = _scene_source(source, base)
+    scene_source = _scene_source(source, base, loc)
     if isinstance(scene_source, Path):
         scene = load_scene(scene_source)
     else:
-        scene = scene_from_source(source, ("scene",), base=base)
+        scene = scene_from_source(source, loc, base=base, name=name)
     if light >= len(scene.lights):
         raise source.error(f"the scene has {len(scene.lights)} light(s); there is no light {light}.", ("light",))
     return scene_source, scene
@@ -158,6 +167,33 @@ def _resolved(
     scene_source, scene = open_scene(source, base, file.light)
     for run in runs:
         check_needs(plugins[run.name], scene, scene.lights[file.light], source=source, loc=run.loc)
+    return resolve(name, source, file, runs, file.baseline or labels[0], (scene_source, scene), labels)
+
+
+def resolve(
+    name: str,
+    source: Source,
+    file: RunFile,
+    runs: tuple[TechniqueRun, ...],
+    baseline: str,
+    opened: tuple[Path | dict[str, Any], Scene],
+    labels: Sequence[str],
+) -> Experiment:
+    """One scene's experiment, once its scene and techniques are known.
+
+    Args:
+        name: Of the experiment.
+        source: The experiment file.
+        file: Its content.
+        runs: What is rendered of this scene.
+        baseline: One of their labels.
+        opened: The scene, as ``open_scene`` gives it.
+        labels: All labels of the file, which its views may name.
+
+    Raises:
+        InputError: A metric or view is wrong.
+    """
+    scene_source, scene = opened
     frames = _frames(file, scene)
     return Experiment(
         name=name,
@@ -167,7 +203,7 @@ def _resolved(
         metrics=_metrics(source, file),
         projection=file.projection,
         runs=runs,
-        baseline=file.baseline or labels[0],
+        baseline=baseline,
         repeats=file.repeats,
         seed=file.seed,
         frames=frames,
@@ -186,7 +222,7 @@ def _check_kind(source: Source) -> None:
         raise source.error(f"'{kind}' is not a kind of experiment." + nearest(kind, KINDS), ("kind",))
 
 
-def _metrics(source: Source, file: WalkthroughFile) -> tuple[str, ...]:
+def _metrics(source: Source, file: RunFile) -> tuple[str, ...]:
     from experiments.metrics import GROUPS, METRICS
 
     if file.metrics is None:
@@ -204,7 +240,7 @@ def _metrics(source: Source, file: WalkthroughFile) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _frames(file: WalkthroughFile, scene: Scene) -> tuple[int, ...]:
+def _frames(file: RunFile, scene: Scene) -> tuple[int, ...]:
     if isinstance(file.frames, FrameRange):
         return file.frames.indices()
     return tuple(range(scene.frames if file.frames is None else file.frames))
@@ -215,22 +251,24 @@ def _as_range(frames: tuple[int, ...]) -> dict[str, int]:
     return {"start": frames[0], "stop": frames[-1] + 1, "step": step}
 
 
-def _scene_source(source: Source, base: Path) -> Path | dict[str, Any]:
-    scene = source.data["scene"]
+def _scene_source(source: Source, base: Path, loc: Loc) -> Path | dict[str, Any]:
+    scene = source.get(loc)
     if isinstance(scene, dict):
         return dict(_with_absolute_files(scene, base))
     path = base / scene
     if not path.is_file():
-        raise source.error(f"no scene file {path}.", ("scene",))
+        raise source.error(f"no scene file {path}.", loc)
     return path
 
 
-def _inline_scene(source: Source, base: Path) -> Source:
+def _inline_scene(source: Source, base: Path, loc: Loc) -> Source:
     """Puts the scene file's data into the experiment, for ``--set scene.camera.fov_deg=40`` to change."""
-    loc: Loc = ("scene",)
-    path = _scene_source(source, base)
+    path = _scene_source(source, base, loc)
     assert isinstance(path, Path)
-    return source.replaced(loc, _with_absolute_files(load_yaml(path).data, path.parent), str(path))
+    data = _with_absolute_files(load_yaml(path).data, path.parent)
+    if loc != ("scene",) and isinstance(data, dict):  # one of several keeps its name, which is that of its results
+        data = {"name": path.stem, **data}
+    return source.replaced(loc, data, str(path))
 
 
 def _with_absolute_files(data: Any, base: Path) -> Any:

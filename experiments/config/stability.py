@@ -46,7 +46,7 @@ def load_stability(path: str | Path, overrides: Iterable[str], plugins: Mapping[
     Raises:
         InputError: Something in the file or the overrides is wrong.
     """
-    source = apply_overrides(load_yaml(Path(path)), overrides, lambda unchanged: unchanged)
+    source = apply_overrides(load_yaml(Path(path)), overrides)
     file = validate(StabilityFile, source)
     return Stability(
         Path(path).stem,

@@ -57,7 +57,11 @@ class TechniqueRun:
 
 
 def expand_techniques(
-    source: Source, plugins: Mapping[str, type], default: StrictModel | None, projection_model: type[StrictModel]
+    source: Source,
+    plugins: Mapping[str, type],
+    default: StrictModel | None,
+    projection_model: type[StrictModel],
+    entries: Sequence[tuple[Loc, Any]] | None = None,
 ) -> tuple[TechniqueRun, ...]:
     """All runs of the ``techniques`` list, in order.
 
@@ -66,13 +70,16 @@ def expand_techniques(
         plugins: Techniques by name; each has a pydantic model ``Params``.
         default: The experiment's projection, if it gives one.
         projection_model: Model of a projection.
+        entries: Places and entries, where they are not simply those of the list.
 
     Raises:
         InputError: An unknown technique or parameter, a wrong value, an empty sweep, or two runs with the same label.
     """
     runs: list[TechniqueRun] = []
-    for i, entry in enumerate(source.data["techniques"]):
-        for run in _expand_entry(source, ("techniques", i), entry, plugins, default, projection_model):
+    if entries is None:
+        entries = [(("techniques", i), entry) for i, entry in enumerate(source.data["techniques"])]
+    for loc, entry in entries:
+        for run in _expand_entry(source, loc, entry, plugins, default, projection_model):
             earlier = next((other for other in runs if other.label.casefold() == run.label.casefold()), None)
             if earlier is not None:
                 line = source.line(earlier.loc)

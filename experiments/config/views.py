@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from experiments.config.models import FrameRange, Views, WalkthroughFile
+from experiments.config.models import FrameRange, RunFile, Views
 from experiments.config.source import Source
 from experiments.views.kinds import KINDS
 from wkernels.errors import nearest
 
 
-def resolve_views(source: Source, file: WalkthroughFile, frames: Sequence[int], labels: Sequence[str]) -> Views | None:
+def resolve_views(source: Source, file: RunFile, frames: Sequence[int], labels: Sequence[str]) -> Views | None:
     """The pictures that a file asks for, with every default filled in; None where it asks for none.
 
     Args:

@@ -32,7 +32,13 @@ def inline_svg(figure: Figure) -> str:
 
 
 def error_vs_time(
-    summary: pd.DataFrame, look: Look, *, errors: str = "rmse", title: str = "RMSE of visibility"
+    summary: pd.DataFrame,
+    look: Look,
+    *,
+    errors: str = "rmse",
+    title: str = "RMSE of visibility",
+    time: str = "frame time [ms]",
+    spread: str = "median and quartiles over frames",
 ) -> Figure:
     """Median error against median frame time, quartile bars over frames, Pareto front drawn, dominated points faint.
 
@@ -41,15 +47,19 @@ def error_vs_time(
         look: Looks of the labels.
         errors: Error column.
         title: Name of the error on its axis.
+        time: Name of the time on its axis.
+        spread: What points and bars are.
     """
     known = summary[np.isfinite(summary["frame_ms"]) & np.isfinite(summary[errors])]
     with styled():
         figure, axes = new_figure(8.0, 5.2)
-        axes.set_xlabel("frame time [ms] (median and quartiles over frames)")
-        axes.set_ylabel(f"{title} (median and quartiles)")
+        axes.set_xlabel(f"{time} ({spread})")
+        axes.set_ylabel(f"{title} ({spread})")
         if known.empty:
             return _empty(figure, axes, "no reference frames, so no errors")
         front = known[known["pareto"]].sort_values("frame_ms")
+        # labels that cannot be told apart may share a front; the staircase runs below them
+        front = front[front[errors] <= front[errors].cummin()]
         for row in known.to_dict("records"):
             x, y = row["frame_ms"], row[errors]
             axes.errorbar(

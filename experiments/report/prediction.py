@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -32,6 +34,7 @@ _SHORT = {
 assert set(TITLES) == set(_SHORT) == set(PREDICTORS)
 COLUMNS = 3
 MOST_IN_LEGEND = 12  # more do not fit beside the panels
+MOST_IN_PANEL = 6  # labels whose legend fits into a panel
 
 
 def scatter(frames: pd.DataFrame, found: list[Correlation], look: Look) -> Figure:
@@ -96,7 +99,14 @@ def _legend(
         parts = [f"{_SHORT[p]} {_number(by[(label, p)].spearman)}" for p in predictors if (label, p) in by]
         text = "\n".join([label, "  ".join(parts[:4]), "  ".join(parts[4:])]).rstrip()
         axes.scatter([], [], s=22, marker=look.marker(label), color=look.color(label), label=text)
-    axes.legend(loc="upper left", fontsize=8, borderaxespad=0.0, labelspacing=0.7)
+    where: dict[str, Any] = {"fontsize": 8, "borderaxespad": 0.0, "labelspacing": 0.7}
+    if len(labels) <= MOST_IN_PANEL:
+        axes.legend(loc="upper left", **where)
+    else:  # would leave the panels no height
+        axes.set_title("")
+        figure = axes.get_figure(root=True)
+        assert figure is not None
+        figure.legend(loc="outside right upper", title="rank correlation within each label", **where)
 
 
 def _number(value: float) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from experiments.metrics import outdated
 from experiments.report.data import chart_data, column_title, parameters, thumbs, with_summary
 from experiments.report.page import render
 from experiments.store import Store
@@ -49,6 +50,7 @@ def write_sweep_report(folder: Path) -> Path:
         environment=record.get("environment", {}),
         identity=record.get("identity", {}),
         metric_versions=record.get("metrics", {}),
+        outdated=outdated(record.get("metrics", {})),
         scenes=[_scene(folder, name, table[table["scene"] == name], tables, run["baseline"]) for name in names],
         overall=_over_scenes(table, names),
         overall_chart=_overall_chart(table[table["scene"] == OVERALL], run["baseline"]),

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from experiments import summary
 from experiments.images import ERROR_SCALE
-from experiments.metrics import METRICS
+from experiments.metrics import METRICS, outdated
 from experiments.prediction import Correlation, write_prediction
 from experiments.published import read_published
 from experiments.report import plots, style
@@ -113,6 +113,7 @@ def _page(
         environment=environment["environment"],
         identity=environment["identity"],
         metric_versions=environment["metrics"],
+        outdated=outdated(environment["metrics"]),
         expected=len(run["labels"]) * len(run["frames"]),
         stored=len(frames),
         headline=headline(table, run["baseline"]),

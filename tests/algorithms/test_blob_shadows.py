@@ -59,6 +59,15 @@ def test_no_ellipsoid_without_two_points(vertices: np.ndarray) -> None:
     assert bounding_ellipsoid(vertices) is None
 
 
+def test_a_caster_of_many_vertices_needs_no_matrix_of_their_square() -> None:
+    """A hundred thousand would take 80 GB, as the conifers of `winter` did."""
+    vertices = np.random.default_rng(5).normal(size=(100_000, 3)) * (3.0, 2.0, 1.0)
+    found = bounding_ellipsoid(vertices)
+    assert found is not None
+    distances = np.linalg.norm((vertices - found.centre) @ found.to_unit.T, axis=1)
+    assert distances.max() == pytest.approx(1.0)
+
+
 def blob_twin(scene: Scene, position: np.ndarray, params: dict[str, float], along: str) -> np.ndarray:
     """The formula of the docstring for the scene's one caster, in float64."""
     caster = next(mesh for mesh in scene.meshes if mesh.casts)

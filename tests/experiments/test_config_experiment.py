@@ -204,8 +204,8 @@ def test_a_mistake_is_named_with_file_line_and_key(load: Load, text: str, expect
     [
         (
             "walkthrough",
-            "sweep",
-            "e.yaml:1: kind: kind 'sweep' is not available yet; available: walkthrough, convergence, stability, analysis.",
+            "bench",
+            "e.yaml:1: kind: kind 'bench' is not available yet; available: walkthrough, convergence, sweep, stability, analysis.",
         ),
         (
             "walkthrough",

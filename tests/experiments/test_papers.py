@@ -12,6 +12,7 @@ from experiments.config.convergence import Convergence, Estimates, load_converge
 from experiments.config.kinds import kind_of
 from experiments.config.schema import Experiment, load_experiment
 from experiments.config.stability import load_stability
+from experiments.config.sweep import load_sweep
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 FILES = sorted([*CONFIGS.glob("papers/*.yaml"), *CONFIGS.glob("experiments/*.yaml")])
@@ -24,6 +25,11 @@ def test_experiment_file_loads(file: Path) -> None:
         assert load_analysis(file).curves
     elif kind == "convergence":
         assert isinstance(load_convergence(file), Convergence | Estimates)
+    elif kind == "sweep":
+        sweep = load_sweep(file)
+        assert len(sweep.scenes) >= 5 and len(sweep.runs) >= len(load_all())
+        for scene in sweep.scenes:
+            assert scene.experiment.reference is not None and max(scene.experiment.frames) < 100  # all have so many
     elif kind == "stability":
         assert load_stability(file, [], load_all()).cases
     else:
