@@ -29,6 +29,7 @@ class Needs:
         closed_meshes: Whether casters must be closed 2-manifolds.
         planar_receiver: Whether receivers must be planar.
         history: Whether results depend on earlier frames.
+        still_light: Whether the light must stand still.
     """
 
     lights: frozenset[str] = ALL_LIGHTS
@@ -36,6 +37,7 @@ class Needs:
     closed_meshes: bool = False
     planar_receiver: bool = False
     history: bool = False
+    still_light: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -36,7 +36,7 @@ as long as later ones, and the first two have steps; noise where pixels have jus
 levels in the shadow of a mover; the maps' own aliasing, which different points average but do not remove; memory, 4
 ``samples`` ``resolution``^2 bytes, for which fewer maps are kept beyond 512 MiB. With projections that follow the eye
 maps go out of date and ``draws`` are drawn in every frame. A scene whose casters all move has the cost of drawing them
-``mover_maps`` times a frame.
+``mover_maps`` times a frame. Lights that move are refused: all maps would be of another light.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class TcAdaptive(Technique):
     name = "tc_adaptive"
     family = "temporal"
     paper = ("scherzer2009tc",)
-    needs = Needs(area=True, history=True)
+    needs = Needs(area=True, history=True, still_light=True)
     stability_limits: ClassVar[dict[str, str]] = {
         "light_place": "no texel falls on a receiver in whose plane the light lies"
     }

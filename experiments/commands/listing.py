@@ -47,6 +47,7 @@ def needs_text(technique: type[Technique]) -> str:
         "closed meshes" if needs.closed_meshes else "",
         "planar receiver" if needs.planar_receiver else "",
         "earlier frames" if needs.history else "",
+        "still light" if needs.still_light else "",
     ]
     return ", ".join(word for word in words if word) or "-"
 
@@ -65,6 +66,7 @@ def describe(technique: type[Technique]) -> dict[str, Any]:
             "closed_meshes": needs.closed_meshes,
             "planar_receiver": needs.planar_receiver,
             "history": needs.history,
+            "still_light": needs.still_light,
         },
         "bias_sign": technique.bias_sign,
         "limits": [limit.equals for limit in technique.limits],

@@ -37,6 +37,8 @@ def unmet_need(technique: Any, scene: Scene, light: Light) -> str | None:
             return f"'{name}' needs closed casters; the mesh '{opened}' is open (casts: false takes it out)."
     if needs.planar_receiver and not any(mesh.receives and is_planar(mesh) for mesh in scene.meshes):
         return f"'{name}' needs a planar receiver; no receiving mesh of the scene is flat."
+    if needs.still_light and light.motion is not None:
+        return f"'{name}' is made for lights that stand still; this one moves."
     return None
 
 

@@ -11,6 +11,8 @@ import pytest
 import small_scenes as small
 
 from algorithms.plugins import find
+from experiments import render_visibility
+from wkernels.errors import InputError
 from wkernels.frame import FrameResult, Session
 from wkernels.geometry import Geometry
 from wkernels.scene import Scene
@@ -110,3 +112,8 @@ def test_a_float16_buffer_ages_as_a_float32_one(name: str, device: str) -> None:
     ]
     # sums are rounded to 2^-11 in every frame; a texel of history may just fail its depth test in one of them
     assert np.nanmean(np.abs(images[0] - images[1]) > 0.01) < 0.01
+
+
+def test_a_technique_of_kept_maps_refuses_a_light_that_moves() -> None:
+    with pytest.raises(InputError, match="'tc_adaptive' is made for lights that stand still; this one moves"):
+        render_visibility("configs/scenes/moving_light.yaml", "tc_adaptive", width=32, height=18)
