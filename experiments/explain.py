@@ -216,7 +216,7 @@ def _samples_of(experiment: Experiment) -> str:
 
 
 def _needs_reference(name: str) -> bool:
-    return name not in ("standard_error", "flicker", *MAP_METRICS)
+    return name not in ("standard_error", "flicker", "flicker_edges", *MAP_METRICS)
 
 
 def _camera_rests(experiment: Experiment, scene: Scene) -> bool:

@@ -24,7 +24,8 @@ class Measured:
         reference: (H, W) reference visibility of the same receiver points; None where none was made.
         reference_standard_error: (H, W), goes with ``reference``.
         previous: Visibility of the frame before, carried to this frame's receiver points (``carry_over``), (H, W), NaN
-            where these were not seen; None on a first frame or where nothing asked for it.
+            where these were not seen or lie at a hard edge; None on a first frame or where nothing asked for it.
+        previous_across_edges: The same with what lies at hard edges.
         map_use: How the light map that the technique read suits the frame; None for techniques that read none, or where
             nothing asked for it.
     """
@@ -34,6 +35,7 @@ class Measured:
     reference: np.ndarray | None = None
     reference_standard_error: np.ndarray | None = None
     previous: np.ndarray | None = None
+    previous_across_edges: np.ndarray | None = None
     map_use: MapUse | None = None
 
 

@@ -75,6 +75,12 @@ def _flicker(m: Measured) -> float | None:
     return _rms_of_finite(m.visibility - m.previous, np.where(beside_hard_edge(m.visibility), np.nan, m.visibility))
 
 
+def _flicker_edges(m: Measured) -> float | None:
+    if m.previous_across_edges is None:
+        return None
+    return _rms_of_finite(m.visibility - m.previous_across_edges, m.visibility)
+
+
 def flip_map(visibility: np.ndarray, reference: np.ndarray) -> np.ndarray:
     """FLIP (andersson2020flip) of two visibility images shown as linear grey, float32 (H, W) in [0, 1].
 
@@ -198,6 +204,19 @@ METRICS: Mapping[str, Metric] = {
             from_images=False,
             version=2,  # 1 counted pixels beside hard edges, which flicker under every technique
             evaluate=_flicker,
+        ),
+        Metric(
+            "flicker_edges",
+            "flicker with edges",
+            "As flicker, with hard edges: compares techniques whose edges are not equally hard; exact hard ones have "
+            "some of it, too.",
+            "visibility",
+            best=0.0,
+            worst=1.0,
+            always=False,
+            from_images=False,
+            version=1,
+            evaluate=_flicker_edges,
         ),
         *MAP_DESCRIPTORS,
         *SCORE_DESCRIPTORS,

@@ -140,7 +140,6 @@ class _Walkthrough:
         ]
         self.total = len(experiment.runs) * len(experiment.frames)
         self.done = len(stored)
-        self.wants_flicker = "flicker" in experiment.metrics
         self._unseen: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         self.wants_map_use = not set(metrics.MAP_METRICS).isdisjoint(experiment.metrics)
         reference = experiment.reference
@@ -242,7 +241,8 @@ class _Walkthrough:
             standard_error=result.standard_error,
             reference=reference[0] if reference else None,
             reference_standard_error=reference[1] if reference else None,
-            previous=self._previous(lane, result),
+            previous=self._previous(lane, result, "flicker"),
+            previous_across_edges=self._previous(lane, result, "flicker_edges"),
             map_use=self.engine.map_use(lane.session) if self.wants_map_use else None,
         )
         self.store.append(
@@ -262,11 +262,17 @@ class _Walkthrough:
         lane.todo.discard(frame)
         self.done += 1
 
-    def _previous(self, lane: Lane, result: FrameLike) -> np.ndarray | None:
-        if lane.before is None or not self.wants_flicker:
+    def _previous(self, lane: Lane, result: FrameLike, metric: str) -> np.ndarray | None:
+        if lane.before is None or metric not in self.experiment.metrics:
             return None
         frame, visibility, position_ws = lane.before
-        return carry_over(visibility, position_ws, self.engine.ws_to_ss(frame), result.world_position)
+        return carry_over(
+            visibility,
+            position_ws,
+            self.engine.ws_to_ss(frame),
+            result.world_position,
+            across_edges=metric == "flicker_edges",
+        )
 
     def _disoccluded(self, lane: Lane, result: FrameLike) -> float | None:
         """Share of the receiver pixels that the frame before did not see; None on the first frame."""

@@ -24,7 +24,7 @@ FRAME_COLUMNS = (
     "rmse", "mean_signed_error", "p99_error", "flip", "standard_error", "reference_standard_error",
     "m_x_max", "m_z_max", "flicker",
     "frame_ms_q1", "frame_ms_q3", "shadow_ms_q1", "shadow_ms_q3", "receiver_pixels", "disoccluded",
-    *MAP_METRICS, *SCORES,
+    *MAP_METRICS, *SCORES, "flicker_edges",
 )  # fmt: skip
 REPEAT_COLUMNS = ("technique", "label", "frame", "repeat", "frame_ms", "shadow_ms")
 PASS_COLUMNS = ("technique", "label", "frame", "pass", "ms")

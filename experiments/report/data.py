@@ -33,7 +33,7 @@ TITLES: Mapping[str, tuple[str, str]] = {  # of columns that are no metric: titl
 }
 TIMES = ("frame_ms", "shadow_ms", "frame_ms_ratio", "ratio")
 NO_ERRORS = {"reference_standard_error", "standard_error", *MAP_METRICS}  # metrics that measure no error of the picture
-CURVES = ("frame_ms", "shadow_ms", "rmse", "flip", "standard_error", "flicker", "m_x_max")
+CURVES = ("frame_ms", "shadow_ms", "rmse", "flip", "standard_error", "flicker", "flicker_edges", "m_x_max")
 
 
 def column_title(name: str) -> dict[str, str]:

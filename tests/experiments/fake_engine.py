@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel
 
+from algorithms.technique import Needs
 from experiments.config.schema import Experiment, Image, Reference
 from experiments.config.techniques import TechniqueRun
 from wkernels.frame import FrameResult
@@ -25,7 +25,7 @@ class Flat:
     """Reference plus a constant error."""
 
     name, family, paper, bias_sign = "flat", "hard", ("williams1978",), "none"
-    needs = SimpleNamespace(history=False, area=False, closed_meshes=False, planar_receiver=False, lights={"rectangle"})
+    needs = Needs(lights=frozenset({"rectangle"}))
 
     class Params(BaseModel):
         error: float = 0.1
@@ -41,7 +41,7 @@ class Remembering(Flat):
     """Its error depends on every frame since the reset."""
 
     name, family = "remembering", "temporal"
-    needs = SimpleNamespace(history=True, area=True, closed_meshes=False, planar_receiver=False, lights={"rectangle"})
+    needs = Needs(lights=frozenset({"rectangle"}), area=True, history=True)
 
 
 PLUGINS = {"flat": Flat, "remembering": Remembering}

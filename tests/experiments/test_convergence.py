@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ import pytest
 from fake_engine import HEIGHT, WIDTH, FakeEngine, Flat, Remembering, make_scene, true_visibility
 from pydantic import BaseModel, Field
 
+from algorithms.technique import Needs
 from experiments import cli
 from experiments.config.convergence import Convergence, Estimates, held, load_convergence
 from experiments.convergence import explain_convergence, measure, run_convergence
@@ -53,7 +53,7 @@ class Sampled(Flat):
     """Its error is 0.4 over its number of samples."""
 
     name = "sampled"
-    needs = SimpleNamespace(history=False, area=True, closed_meshes=False, planar_receiver=False, lights={"rectangle"})
+    needs = Needs(lights=frozenset({"rectangle"}), area=True)
 
     class Params(BaseModel):
         samples: int = Field(64, ge=1, le=1000)

@@ -105,3 +105,13 @@ def test_a_step_of_one_pixel_is_not_flicker_and_one_of_several_is() -> None:
     assert evaluate(frozenset({"flicker"}), Measured(penumbra, previous=penumbra + 0.1))["flicker"] == pytest.approx(
         0.1
     )
+
+
+def test_flicker_with_edges_counts_a_hard_edge_that_moves_and_flicker_does_not() -> None:
+    """A hard edge that jumps by a pixel column in an image of 100: one pixel in 100 changes by 1."""
+    image = np.tile(np.repeat([0.0, 1.0], 50), (20, 1))
+    moved = np.roll(image, 1, axis=1)
+    moved[:, 0] = 0.0
+    measured = Measured(moved, previous=np.where(beside_hard_edge(image), np.nan, image), previous_across_edges=image)
+    scores = evaluate(frozenset({"flicker", "flicker_edges"}), measured)
+    assert scores["flicker"] == 0.0 and scores["flicker_edges"] == pytest.approx(0.1)
