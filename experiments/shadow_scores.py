@@ -114,14 +114,16 @@ SCORE_DESCRIPTORS = (
     _score(
         "acne",
         "acne",
-        f"Share of the pixels amid lit ones that are darker than the reference by more than {SEEN:g}.",
+        f"Share of the pixels amid lit ones that are darker than the reference by more than {SEEN:g}: surfaces that "
+        "shadow themselves, or blur that reaches further than a penumbra is wide.",
         "share",
         _share_in(lambda classes: classes.deep_lit, -1.0),
     ),
     _score(
         "leak",
         "leak",
-        f"Share of the pixels amid umbra that are lighter than the reference by more than {SEEN:g}.",
+        f"Share of the pixels amid umbra that are lighter than the reference by more than {SEEN:g}: light that passes "
+        "through casters or under them.",
         "share",
         _share_in(lambda classes: classes.deep_umbra, 1.0),
     ),

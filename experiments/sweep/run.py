@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,7 @@ from experiments.runner import Progress, TechniquesFailed, run
 from experiments.store import Store
 from experiments.sweep.store import SweepStore
 from experiments.sweep.write import write_sweep, write_tables
-from experiments.tables import write_text
+from experiments.tables import read_table, write_text
 from wkernels import __version__
 from wkernels.errors import InputError
 from wkernels.launch import default_threads
@@ -86,21 +87,26 @@ def run_sweep(
     for scene in sweep.scenes:
         tell = _shifted(progress, scene.name, before, total)
         options: dict[str, Any] = {"device": device, "threads": threads, "skips": skips, "plugins": plugins}
+        folder = store.scene(scene.name)
+        reported = _rows(folder) if (folder / "report.html").is_file() else None
         try:
-            _run_scene(scene, store.scene(scene.name), resume, tell, engine, options)
-            if report:
-                tell(len(scene.experiment.runs) * len(scene.experiment.frames), 0, "writing the report")
-                _report_scene(store.scene(scene.name))
+            _run_scene(scene, folder, resume, tell, engine, options)
         except InputError:
             raise
         except Exception as error:
             failures.append(_record(store, scene.name, error))
         before += len(scene.experiment.runs) * len(scene.experiment.frames)
-        write_tables(store, failures)
-    if report and store.rows("pareto"):
-        if progress:
-            progress(total, total, "writing the report")
+        tell = _shifted(progress, scene.name, before, total)
+        if report and folder.is_dir() and _rows(folder) != reported:
+            _report_scene(store, scene.name, tell, failures)
+        with suppress(OSError):  # they are all written again at the end
+            write_tables(store, failures)
+    if progress:
+        progress(total, total, "writing the report")
+    if any(_rows(store.scene(scene.name))[0] for scene in sweep.scenes) and report:
         write_sweep(store.out, scene_failures=failures)
+    else:
+        write_tables(store, failures)
     if progress:
         progress(total, total, "done")
     if rows := store.rows("failures"):
@@ -138,12 +144,22 @@ def _run_scene(
         pass  # rows of failures.csv already
 
 
-def _report_scene(folder: Path) -> None:
+def _rows(folder: Path) -> tuple[int, int]:
+    """How many frames and failures a scene's folder holds; its report, which is written last, is about all of them."""
+    return len(read_table(folder / "frames.csv")), len(read_table(folder / "failures.csv"))
+
+
+def _report_scene(store: SweepStore, name: str, tell: Progress, failures: list[Row]) -> None:
+    """Writes a scene's report; one that cannot be written is a failure and no reason to stop."""
     from experiments.report import write_report
     from experiments.summary import write_summary
 
-    write = write_report if Store(folder).rows("frames") else write_summary
-    write(folder)
+    tell(0, 0, "writing the report")
+    try:
+        write = write_report if Store(store.scene(name)).rows("frames") else write_summary
+        write(store.scene(name))
+    except Exception as error:
+        failures.append(_record(store, name, error))
 
 
 def _shifted(progress: Progress | None, name: str, before: int, every: int) -> Progress:

@@ -174,6 +174,30 @@ def test_a_failure_is_a_row_and_the_rest_goes_on(tmp_path: Path) -> None:
     assert [row["scene"] for row in store.rows("failures")] == ["one", "two", "three"]
 
 
+def test_a_report_that_cannot_be_written_is_a_row_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import experiments.report
+
+    def full(out: Path) -> Path:
+        raise InputError("the report cannot be written (No space left on device).", file=out)
+
+    monkeypatch.setattr(experiments.report, "write_report", full)
+    with pytest.raises(SweepFailed, match=r"'one' failed: InputError: .*No space left"):
+        swept(tmp_path, make_sweep(scenes=("one",)), report=True)
+    assert len(Store(tmp_path / "one").rows("frames")) == 16 and len(SweepStore(tmp_path).rows("pareto")) == 4
+
+
+def test_a_scene_that_is_complete_is_not_reported_again(reported: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(reported, copy)
+    (copy / "one" / "report.html").write_text("mine")
+    lines = (copy / "two" / "frames.csv").read_text().splitlines(keepends=True)
+    (copy / "two" / "frames.csv").write_text("".join(lines[:-2]))
+    (copy / "two" / "report.html").write_text("partial")
+    swept(copy, make_sweep(scenes=SCENES[:2]), resume=True, report=True)
+    assert (copy / "one" / "report.html").read_text() == "mine"
+    assert (copy / "two" / "report.html").read_text() != "partial" and everything(copy) == everything(reported)
+
+
 def test_a_technique_that_refuses_its_input_has_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(frame: int) -> None:
         raise InputError("cannot do this.")
