@@ -51,6 +51,7 @@ def chart_data(
     details: Mapping[str, Mapping[str, str]] | None = None,
     thumbs: Mapping[str, str] | None = None,
     baseline: str = "",
+    by: str = "label",
     front: Sequence[bool] | None = None,
     indistinct_below: float = float("nan"),
 ) -> dict[str, Any]:
@@ -62,6 +63,7 @@ def chart_data(
         details: Parameters by label, as texts.
         thumbs: Pictures by label, as data URLs.
         baseline: Label that ratios refer to.
+        by: ``label`` or ``technique``: what has a colour and mark of its own, and is shown and hidden together.
         front: Whether each row is on the Pareto front of time and RMSE, where that was judged by more than the medians.
         indistinct_below: RMSE below which nothing can be told from the reference.
     """
@@ -78,15 +80,15 @@ def chart_data(
         points.append({
             "label": label,
             "technique": str(row["technique"]),
+            "group": str(row[by]),
             "values": values,
             "details": dict((details or {}).get(label, {})),
             "front": None if front is None else front[i],
             "thumb": (thumbs or {}).get(label),
         })  # fmt: skip
-    techniques = list(dict.fromkeys(point["technique"] for point in points))
     return {
         "points": points,
-        "techniques": techniques,
+        "groups": list(dict.fromkeys(point["group"] for point in points)),
         "columns": {name: _named(column_title(name), baseline) for name in names},
         "x": [name for name in TIMES if name in names],
         "y": [name for name in names if name in METRICS and name not in NO_ERRORS],

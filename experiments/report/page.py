@@ -25,7 +25,14 @@ def render(template: str, **values: Any) -> str:
     environment = Environment(
         loader=PackageLoader("experiments.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
-    environment.filters |= {"number": number, "plain": plain, "percent": percent, "json": json_script, "exact": exact}
+    environment.filters |= {
+        "number": number,
+        "plain": plain,
+        "percent": percent,
+        "json": json_script,
+        "exact": exact,
+        "size": size,
+    }
     return environment.get_template(template).render(style=_style(), scripts=_scripts(), **values)
 
 
@@ -82,6 +89,11 @@ def number(value: Any, digits: int = 3) -> str:
 def exact(value: Any) -> str:
     """A number for sorting, empty where unknown."""
     return "" if value is None or not np.isfinite(value) else f"{float(value):.9g}"
+
+
+def size(characters: float) -> str:
+    """How much of a page something takes."""
+    return f"{characters / 1e6:.1f} MB" if characters >= 1e5 else f"{max(1, round(characters / 1e3))} kB"
 
 
 def percent(share: float) -> str:

@@ -99,6 +99,7 @@ def _scene(
             details=parameters(store.config()) if known else {},
             thumbs=thumbs(store, labels),
             baseline=baseline,
+            by="technique",
             front=[_yes(value) for value in table["on_front"]],
         ),
         "link": f"{name}/report.html" if (store.out / "report.html").is_file() else "",
@@ -145,7 +146,7 @@ def _over_scenes(table: pd.DataFrame, scenes: Sequence[str]) -> list[dict[str, A
 def _overall_chart(table: pd.DataFrame, baseline: str) -> dict[str, Any] | None:
     if table.empty:
         return None
-    chart = chart_data(table, baseline=baseline, front=[_yes(value) for value in table["on_front"]])
+    chart = chart_data(table, baseline=baseline, by="technique", front=[_yes(value) for value in table["on_front"]])
     if "rmse" in chart["columns"]:
         chart["columns"]["rmse"] = column_title("rmse") | {
             "title": f"RMSE, × {baseline or 'baseline'}, mean over scenes"

@@ -164,8 +164,9 @@ def test_the_front_is_that_of_what_is_shown(visit: Visit) -> None:
     assert labels(".point") == list(LABELS) and "slow [exact]" in labels(".point.on-front")
     page.select_option("[data-axis=y]", "flip")
     page.select_option("[data-axis=x]", "frame_ms_ratio")
-    entry = page.locator('[data-chart] .entry[data-technique="flat"]')
-    entry.click()  # its two labels go, in the curves too
+    for label in ("cheap", "slow [exact]"):
+        entry = page.locator(f'[data-chart] .entry[data-group="{label}"]')
+        entry.click()  # gone from the curves too
     assert (
         labels(".point") == ["memory"] == labels(".point.on-front") and entry.get_attribute("aria-pressed") == "false"
     )
@@ -407,6 +408,9 @@ def test_a_sweep_has_a_chart_per_scene_and_links_to_its_report(browser: Any, fol
     assert page.locator("main a[href$='report.html']").evaluate_all("all => all.map(e => e.getAttribute('href'))") == [
         "hall/report.html"
     ]
+    assert page.locator("#scene-1 .entry").all_inner_texts() == ["flat", "remembering"]  # by technique
+    page.locator('#scene-1 .entry[data-group="flat"]').click()
+    assert page.locator("#scene-1 .point").count() == 1 and page.locator("#scene-2 .point").count() == 0
     assert "hall: cheap. Nothing errs less." in page.inner_text("#advice")
     assert overflow(page) == 0 and visit.said == []
     page.close()

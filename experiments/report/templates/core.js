@@ -1,4 +1,4 @@
-// What every part uses: elements, numbers, the page's data, and which techniques are shown.
+// What every part uses: elements, numbers, the page's data, and which groups are shown.
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -44,7 +44,7 @@ function clamp(value, low, high) {
   return Math.min(high, Math.max(low, value));
 }
 
-// Looks follow from the technique's place in the list, as in the plots/ of the folder.
+// Looks follow from the place in the list of groups, labels or techniques: of labels they are those in plots/.
 const MARKERS = {
   o: "M6,0A6,6 0 1 1 -6,0A6,6 0 1 1 6,0Z",
   s: "M-5.4,-5.4H5.4V5.4H-5.4Z",
@@ -70,7 +70,7 @@ function markerOf(index) {
   return MARKERS[MARKER_ORDER[index % MARKER_ORDER.length]];
 }
 
-// Which techniques are hidden, for all charts of the page at once.
+// Which groups of points are hidden, for all charts of the page at once.
 const shown = {
   hidden: new Set(),
   watchers: [],

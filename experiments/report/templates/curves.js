@@ -1,12 +1,12 @@
 // Columns over the frame number, one small plot each; the frame under the pointer is marked in all of them.
 
 function startCurves(holder, data, chart, look) {
-  const techniqueOf = new Map(chart.points.map((point) => [point.label, point.technique]));
+  const groupOf = new Map(chart.points.map((point) => [point.label, point.group]));
   const labels = chart.points.map((point) => point.label);
-  const rank = new Map(labels.map((label) => [label, labels.filter((other) => techniqueOf.get(other) === techniqueOf.get(label)).indexOf(label)]));
+  const rank = new Map(labels.map((label) => [label, labels.filter((other) => groupOf.get(other) === groupOf.get(label)).indexOf(label)]));
   const plots = data.curves.map((curve) => makeCurvePlot(curve));
   if (data.disoccluded) plots.push(makeCurvePlot({ name: "disoccluded", title: "disoccluded share of the receivers", unit: "%", lines: null }));
-  holder.replaceChildren(makeLegend(chart.techniques.map((name) => ({ name, index: look(name) }))),
+  holder.replaceChildren(makeLegend(chart.groups.map((name) => ({ name, index: look(name) }))),
     el("div", { class: "curves" }, plots.map((plot) => plot.node)));
 
   function mark(frame) { for (const plot of plots) plot.mark(frame); }
@@ -18,7 +18,7 @@ function startCurves(holder, data, chart, look) {
 
     function lines() {
       if (!curve.lines) return [["every technique", data.disoccluded.map((share) => share === null ? null : 100 * share)]];
-      return Object.entries(curve.lines).filter(([label]) => !shown.hidden.has(techniqueOf.get(label)));
+      return Object.entries(curve.lines).filter(([label]) => !shown.hidden.has(groupOf.get(label)));
     }
 
     function draw() {
@@ -43,7 +43,7 @@ function startCurves(holder, data, chart, look) {
         const known = places.filter(Boolean);
         return [svg("path", { class: "area", d: `M${known[0][0]},${box.bottom}L${known.map((p) => p.join(",")).join("L")}V${box.bottom}Z` })];
       }
-      const index = look(techniqueOf.get(label)), known = places.filter(Boolean);
+      const index = look(groupOf.get(label)), known = places.filter(Boolean);
       const line = svg("path", { class: "line", "data-label": label, stroke: colorOf(index), "stroke-dasharray": DASHES[(Math.floor(index / COLOR_COUNT) + rank.get(label)) % DASHES.length] || null, d: `M${known.map((p) => p.join(",")).join("L")}` });
       const dots = known.length < values.length || known.length === 1
         ? known.map(([x, y]) => svg("path", { class: "dot", "data-label": label, fill: colorOf(index), d: markerOf(index), transform: `translate(${x},${y}) scale(0.55)` })) : [];
@@ -65,7 +65,7 @@ function startCurves(holder, data, chart, look) {
       const place = rows.findIndex((row) => row.label === near?.label), first = clamp(place - 7, 0, Math.max(0, rows.length - 15));
       tooltip.show(el("div", { class: "card-body" }, el("strong", {}, `frame ${data.frames[frameIndex]}`),
         rows.length ? el("table", {}, el("tbody", {}, rows.slice(first, first + 15).map((row) => el("tr", { class: row.label === near.label ? "chosen" : null },
-          el("th", { scope: "row" }, curve.lines && swatch(look(techniqueOf.get(row.label)), 12), " ", row.label), el("td", {}, number(row.value)))))) : el("p", { class: "soft" }, "not measured on this frame")),
+          el("th", { scope: "row" }, curve.lines && swatch(look(groupOf.get(row.label)), 12), " ", row.label), el("td", {}, number(row.value)))))) : el("p", { class: "soft" }, "not measured on this frame")),
         frame.left + state.x.position(data.frames[frameIndex]), event ? event.clientY : frame.top + 60);
     }
 

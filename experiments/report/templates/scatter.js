@@ -8,13 +8,13 @@ function makeScatter(holder, data, look) {
       data[which].map((name) => el("option", { value: name, selected: name === state[which] }, data.columns[name].title))));
   const plot = el("div", { class: "plot-area" });
   const pins = el("div", { class: "pins", "aria-live": "polite", "aria-label": "Pinned points" });
-  const names = data.techniques.map((name) => ({ name, index: look(name) }));
+  const names = data.groups.map((name) => ({ name, index: look(name) }));
   holder.replaceChildren(
     el("div", { class: "controls" }, pick("y", "error"), pick("x", "time")), plot, makeLegend(names), pins);
   let width = 0, places = [];
 
   function visible() {
-    return order.filter((point) => !shown.hidden.has(point.technique) && state.x in point.values && state.y in point.values);
+    return order.filter((point) => !shown.hidden.has(point.group) && state.x in point.values && state.y in point.values);
   }
 
   function draw() {
@@ -22,7 +22,7 @@ function makeScatter(holder, data, look) {
     const points = visible(), narrow = width < 560;
     const height = narrow ? 340 : clamp(Math.round(width * 0.42), 400, 520);
     const box = { left: narrow ? 46 : 58, right: width - 14, top: 30, bottom: height - 46 };
-    // The axes span everything, hidden or not, so that nothing moves while techniques are switched on and off.
+    // The axes span everything, hidden or not, so that nothing moves while they are switched on and off.
     const spread = (name) => order.flatMap((point) => name in point.values ? point.values[name] : []);
     const x = makeScale(spread(state.x), box.left, box.right), y = makeScale(spread(state.y), box.bottom, box.top);
     const at = (point) => [x.position(point.values[state.x][0]), y.position(point.values[state.y][0])];
@@ -58,7 +58,7 @@ function makeScatter(holder, data, look) {
   }
 
   function mark({ point, at }, onFront, x, y) {
-    const [px, py] = at, index = look(point.technique);
+    const [px, py] = at, index = look(point.group);
     const span = (scale, values) => values.length === 3 ? [scale.position(values[1]), scale.position(values[2])] : null;
     const across = span(x, point.values[state.x]), down = span(y, point.values[state.y]);
     const node = svg("g", {
@@ -80,9 +80,9 @@ function makeScatter(holder, data, look) {
   // Points of one technique at several parameters, joined from fast to slow.
   function trails(points, at) {
     const group = svg("g", { class: "trails", "aria-hidden": "true" });
-    for (const name of data.techniques) {
+    for (const name of new Set(points.map((point) => point.technique))) {
       const own = points.filter((point) => point.technique === name).map(at).sort((a, b) => a[0] - b[0]);
-      if (own.length > 1) group.append(svg("path", { d: `M${own.map((p) => p.join(",")).join("L")}`, stroke: colorOf(look(name)) }));
+      if (own.length > 1) group.append(svg("path", { d: `M${own.map((p) => p.join(",")).join("L")}`, stroke: data.groups.includes(name) ? colorOf(look(name)) : "currentColor" }));
     }
     return group;
   }

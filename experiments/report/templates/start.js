@@ -2,8 +2,8 @@
 
 document.documentElement.classList.add("scripted");
 const charts = [...document.querySelectorAll("[data-chart]")];
-const techniqueNames = [...new Set(charts.flatMap((place) => readJson(place.dataset.chart).techniques))];
-const lookOf = (technique) => techniqueNames.indexOf(technique);
+const groupNames = [...new Set(charts.flatMap((place) => readJson(place.dataset.chart).groups))];
+const lookOf = (group) => groupNames.indexOf(group);
 const viewerPlace = document.getElementById("viewer"), viewerJson = readJson("viewer-data");
 const mainChart = charts.length ? readJson(charts[0].dataset.chart) : null;
 if (viewerPlace && viewerJson) startViewer(viewerPlace, viewerJson, mainChart);
