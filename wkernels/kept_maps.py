@@ -115,19 +115,20 @@ class KeptMaps:
             self._taken = frame.count, range(stop, stop + count)
         return self._taken[1]
 
-    def schedule(self, frame: Session, seen: Hashable, draws: int, tests: int, follows_eye: bool) -> Schedule:
+    def schedule(self, frame: Session, seen: Hashable, draws: float, tests: int, follows_eye: bool) -> Schedule:
         """What this frame draws and reads.
 
         Args:
-            frame: The session. seen: What the image depends on, camera and geometry, comparable. draws: Layers of maps
-                per frame until the pool is full; the first frame completes a map. tests: Maps that a pixel is tested
-                against per frame. follows_eye: Whether the projection does, so that maps go out of date.
+            frame: The session. seen: What the image depends on, camera and geometry, comparable. draws: Maps per frame
+                until the pool is full, rounded up to whole layers; the first frame completes a map. tests: Maps that a
+                pixel is tested against per frame. follows_eye: Whether the projection does, so that maps go out of date
+                and are drawn whole, as are those that are drawn anew.
         """
         if self._still[0] != seen:
             self._still = seen, frame.count
         slots = self.pool.slots
-        whole = min(max(draws // slots, 1), self.maps)  # maps per frame, where none is spread over several
-        step = whole * slots if follows_eye else draws
+        whole = min(int(np.ceil(draws)), self.maps)
+        step = whole * slots if follows_eye else int(np.ceil(draws * slots))
         first, all_layers = max(step, slots), self.maps * slots
         frames = 1 + max(-(-(all_layers - first) // step), 0)  # to fill the pool
         since = frame.count - self._start
@@ -166,8 +167,11 @@ class KeptMaps:
             return True
         receivers, casters = self.receivers(frame), frame.geometry.bounds(casters=True, moving=False)
         for index, layers in draws:
-            samples = frame.light_samples(1, sample_set, start=index)
-            light_ws, weight, slot = samples.host[0], float(samples.weights_host[0]), index % self.maps
+            # the first ones as one product: they are asked for in as many frames as it takes to draw them
+            begins = index < self.maps
+            samples = frame.light_samples(self.maps if begins else 1, sample_set, start=0 if begins else index)
+            at = index if begins else 0
+            light_ws, weight, slot = samples.host[at], float(samples.weights_host[at]), index % self.maps
             if layers.start == 0:
                 self._begun = index, frame.look_from_light(light_ws, receivers, casters, self.resolution)
             views = self._begun[1]

@@ -15,6 +15,7 @@ from wkernels.map_pool import MapPool, map_test
 from wkernels.views import View
 
 PRIOR = wp.constant(0.5)  # tests of either outcome that the standard error takes for granted (Jeffreys' prior)
+BORDER = wp.constant(0.7)  # of ``hidden_variance``; measured, docs/tc_adaptive.md
 
 
 @wp.struct
@@ -27,6 +28,7 @@ class PoolSteps:
     tests: int  # of a pixel with history
     new_tests: int  # of one without
     limit: float  # largest n; sums are scaled down to stay there
+    even: int  # 1: points of the light are spread evenly, as for ``hidden_variance``
     clip: float  # standard errors of this frame's tests that history may differ by; 0: any
     has_history: int
     depth_epsilon: float  # scene units
@@ -81,11 +83,17 @@ def clipped_sum(rho: float, n: float, new_rho: float, new_n: float, clip: float)
 
 
 @wp.func
-def hidden_variance(rho: float, n: float) -> float:
-    """Variance of psi = rho / n, that of the Beta distribution of a proportion: not 0 where all tests agree so far."""
-    a = rho + PRIOR
+def hidden_variance(rho: float, n: float, even: int) -> float:
+    """Variance of psi = rho / n; not 0 where all tests agree so far.
+
+    Of independent points of the light it is that of the Beta distribution of a proportion. Of ``even`` (1) ones, each
+    of which stands for its own part of the light, only those err through whose part the border of what is hidden
+    passes: about sqrt(n) of n, so that it falls with n^-3/2. ``BORDER`` is for the length of that border.
+    """
     total = n + 2.0 * PRIOR
-    return a * wp.max(total - a, 0.0) / (total * total * (total + 1.0))
+    p = wp.clamp((rho + PRIOR) / total, 0.0, 1.0)
+    mixed = p * (1.0 - p)
+    return wp.where(even != 0, BORDER * wp.sqrt(mixed) / (total * wp.sqrt(total)), mixed / (total + 1.0))
 
 
 @wp.kernel
@@ -135,7 +143,7 @@ def update_sums(
         if sums.n > 0.0:
             sums.offset = sums.offset * (1.0 - n / sums.n)
             visible = 1.0 - wp.clamp(sums.rho / sums.n, 0.0, 1.0)
-        variance = hidden_variance(sums.rho, sums.n)
+        variance = hidden_variance(sums.rho, sums.n, steps.even)
     kept = wp.where((flags & MOVES) != 0, 0.0, sums.n)
     current_out[y, x] = wp.vec4(sums.rho, kept, gbuffer.depth[y, x], encode_offset(sums.offset))
     visibility_out[y, x] = visible
@@ -151,6 +159,7 @@ def add_movers(
     maps: int,
     bias: Bias,
     reach: MoverReach,
+    even: int,
     visibility: wp.array2d(dtype=float),
     error: wp.array2d(dtype=float),
 ):
@@ -159,8 +168,8 @@ def add_movers(
     Args:
         first: Tile offset. gbuffer: Receivers, (H, W). pool: Maps of the casters that stand still. movers: Maps of
             those that move, from the points of the light of the first ``maps`` maps of ``pool``. maps: How many.
-        bias: As for ``map_test``. reach: Where movers may cast. visibility: (H, W) of what stands still alone; changed.
-        error: Its standard error; grows.
+        bias: As for ``map_test``. reach: Where movers may cast. even: As for ``hidden_variance``.
+        visibility: (H, W) of what stands still alone; changed. error: Its standard error; grows.
     """
     row, x = wp.tid()
     y = first + row
@@ -178,4 +187,4 @@ def add_movers(
                 hidden += pool.weight[m] * (1.0 - still.tau)
         if hidden > 0.0:
             visibility[y, x] = wp.max(visibility[y, x] - hidden / total, 0.0)
-            error[y, x] = wp.sqrt(error[y, x] * error[y, x] + hidden_variance(hidden, total))
+            error[y, x] = wp.sqrt(error[y, x] * error[y, x] + hidden_variance(hidden, total, even))

@@ -10,7 +10,7 @@ from wkernels.lanes import LANES, Floats, Ints
 from wkernels.light_map import Bias
 from wkernels.map_pool import MapPool
 from wkernels.map_pool_lanes import PoolViews, casting_run, pool_test_run
-from wkernels.pool_update import PRIOR, MoverReach, PoolSteps, map_at
+from wkernels.pool_update import BORDER, PRIOR, MoverReach, PoolSteps, hidden_variance, map_at
 from wkernels.receiver_lanes import LaneViews
 from wkernels.shadow_buffer import EDGE_ON
 from wkernels.views import View
@@ -157,6 +157,7 @@ def update_sums_lanes(
     error = Floats(0.0)
     limit = steps.limit
     clip = steps.clip
+    even = steps.even
     for k in range(LANES):
         middle = (more_rho[k] + PRIOR) / (more_n[k] + 2.0 * PRIOR)
         reach = clip * wp.sqrt(middle * (1.0 - middle) / (more_n[k] + 2.0 * PRIOR))
@@ -171,9 +172,10 @@ def update_sums_lanes(
         offset_x[k] = offset_x[k] * shrink
         offset_y[k] = offset_y[k] * shrink
         visible[k] = wp.where(receives[k] != 0, 1.0 - wp.clamp(rho[k] * over_n, 0.0, 1.0), 1.0)
-        a = rho[k] + PRIOR
         total = n[k] + 2.0 * PRIOR
-        spread = a * wp.max(total - a, 0.0) / (total * total * (total + 1.0))
+        p = wp.clamp((rho[k] + PRIOR) / total, 0.0, 1.0)
+        mixed = p * (1.0 - p)
+        spread = wp.where(even != 0, BORDER * wp.sqrt(mixed) / (total * wp.sqrt(total)), mixed / (total + 1.0))
         error[k] = float(receives[k]) * wp.sqrt(spread)
         o_x = wp.clamp(wp.floor(offset_x[k] * STEPS + 0.5), -256.0, 255.0)
         o_y = wp.clamp(wp.floor(offset_y[k] * STEPS + 0.5), -256.0, 255.0)
@@ -229,6 +231,7 @@ def add_movers_lanes(
     maps: int,
     bias: Bias,
     reach: MoverReach,
+    even: int,
     visibility: wp.array2d(dtype=float),
     error: wp.array2d(dtype=float),
 ):
@@ -262,8 +265,6 @@ def add_movers_lanes(
     if touched > 0:
         for k in range(wp.min(LANES, visibility.shape[1] - x0)):
             if hidden[k] > 0.0:
-                a = hidden[k] + PRIOR
-                whole = total + 2.0 * PRIOR
                 visibility[y, x0 + k] = wp.max(visibility[y, x0 + k] - hidden[k] / total, 0.0)
-                more = a * wp.max(whole - a, 0.0) / (whole * whole * (whole + 1.0))
+                more = hidden_variance(hidden[k], total, even)
                 error[y, x0 + k] = wp.sqrt(error[y, x0 + k] * error[y, x0 + k] + more)

@@ -92,13 +92,13 @@ class TcAdaptive(Technique):
         sample_set: Literal["halton", "r2", "poisson_disc", "random"] = setting(
             "halton", "point set on the light", unit="name", source="Scherzer 2009, sec. 4"
         )
-        draws: int = setting(
-            2,
-            "layers of maps drawn per frame until the pool is full; the first frame completes a map",
-            unit="layers per frame",
+        draws: float = setting(
+            0.5,
+            "maps drawn per frame until the pool is full, at least a layer of one",
+            unit="maps per frame",
             source="measured",
-            ge=1,
-            le=4096,
+            gt=0.0,
+            le=4096.0,
         )
         tests: int = setting(
             4, "maps that a pixel is tested against", unit="tests per frame", source="measured", ge=1, le=4096
@@ -128,6 +128,11 @@ class TcAdaptive(Technique):
         depth_epsilon: float = setting(
             1e-4, "largest depth difference of a point and its history", unit="scene diagonals", gt=0.0, le=1.0
         )
+
+        @property
+        def even(self) -> int:
+            """1 where points of the light are spread so evenly that errors are known to be smaller than by chance."""
+            return int(self.sample_set == "halton")
 
     def render(self, frame: Frame) -> wp.array:
         p = self.params
@@ -190,7 +195,7 @@ class TcAdaptive(Technique):
         shown = frame.geometry.version, points.tobytes()
         movers = frame.product("mover maps", "mover maps", shown, draw).pool
         with frame.timed("mover tests"):
-            inputs = [kept.pool, movers, maps, p.device_bias, mover_reach(frame.light, box)]
+            inputs = [kept.pool, movers, maps, p.device_bias, mover_reach(frame.light, box), p.even]
             outputs = [visibility, error]
             if uses_lanes(frame.device):
                 views = [lane_views(gbuffer), runs_of(gbuffer.depth, Floats, PADDING)]
@@ -206,12 +211,13 @@ class TcAdaptive(Technique):
         out.bias, out.filled, out.head = p.device_bias, plan.filled, plan.head
         out.tests, out.new_tests = p.tests, p.new_tests
         out.clip, out.limit = p.clip, float(plan.filled)
-        if kept.still_frames(frame) > 0:  # nothing drifts: every map counts once
+        still = kept.still_frames(frame) > 0
+        if still:  # nothing drifts
             out.clip = 0.0
-            if plan.fills:
-                out.tests = plan.added
+        if plan.fills and (plan.added or still):  # every map counts once, and the time is needed to draw it
+            out.tests = plan.added
         if plan.refines:
             out.tests, out.limit = plan.added, NO_LIMIT
-        out.has_history = int(has_history)
+        out.even, out.has_history = p.even, int(has_history)
         out.depth_epsilon = p.depth_epsilon * frame.reach
         return out
