@@ -22,7 +22,8 @@ from experiments.config.convergence import SAMPLES, Convergence
 from experiments.engine import Engine, FrameLike, SessionLike, WarpEngine
 from experiments.environment import describe_run
 from experiments.images import error_view, shaded_view, standard_error_view, visibility_view, write_exr, write_png
-from experiments.runner import Progress, TechniquesFailed
+from experiments.lanes import check_result
+from experiments.runner import Progress, attempt_report, raise_failures
 from experiments.store import ConvergenceStore
 from wkernels.errors import InputError
 
@@ -105,18 +106,14 @@ def run_convergence(
     }
     store = ConvergenceStore.open(out, text, environment, resume=resume)
     work = _Work(convergence, engine, store, progress or (lambda done, total, what: None))
-    try:
-        store.start_tables()
+    with store.writing():
         work.render_all()
-    finally:
-        store.close()
-    if report and store.rows(store.main):
-        work.tell(work.done, work.total, "writing the report")
-        write_convergence_report(store.out)
+        store.put_in_order([run.label for run in convergence.experiment.runs])
+        if report and store.rows(store.main):
+            work.tell(work.done, work.total, "writing the report")
+            attempt_report(store, write_convergence_report)
     work.tell(work.done, work.total, "done")
-    failures = store.rows("failures")
-    if failures:
-        raise TechniquesFailed(store.out, failures)
+    raise_failures(store)
     return store.out
 
 
@@ -129,6 +126,7 @@ class _Lane:
     history: bool
     todo: set[int]
     failed: bool = False
+    rendered: bool = False  # once, in this part of the run
     session: SessionLike | None = None
     technique: Any = None
 
@@ -142,7 +140,7 @@ class _Work:
     def __init__(self, convergence: Convergence, engine: Engine, store: ConvergenceStore, tell: Progress) -> None:
         self.convergence, self.engine, self.store, self.tell = convergence, engine, store, tell
         stored = store.done()
-        failed = {row["label"] for row in store.rows("failures")}
+        failed = store.failed()
         self.lanes, self.total = [], 0
         for run in convergence.experiment.runs:
             steps = convergence.measured(run.label)
@@ -152,7 +150,7 @@ class _Work:
             self.lanes.append(_Lane(run, convergence.axes[run.label], history, todo, run.label in failed))
             self.total += len(steps)
         self.done = len(stored)
-        self._reference: tuple[int, Images] | None = None
+        self._reference: tuple[int, Images | None] | None = None
         self._shown: set[int] = set()
 
     def render_all(self) -> None:
@@ -163,7 +161,7 @@ class _Work:
 
     def _render(self, lane: _Lane, step: int) -> None:
         frame = self.convergence.frame_of(step) if lane.axis == "frames" else self.convergence.frame_of(1)
-        reference = self._reference_of(frame) if step in lane.todo else None
+        reference = self._reference_of(frame, step) if step in lane.todo else None
         self.tell(self.done, self.total, f"step {step}, {lane.run.label}")
         try:
             if lane.session is None:
@@ -174,26 +172,32 @@ class _Work:
             lane.session.begin(frame)
             result = lane.session.render(lane.technique)
             lane.session.advance()
-        except InputError:
-            raise
-        except Exception as error:
+            check_result(result, self.convergence.experiment.image)
+            if reference is not None:
+                self._store(lane, step, result, reference)
+            lane.rendered = True
+        except (Exception, SystemExit) as error:
+            if isinstance(error, InputError) and not lane.rendered:
+                raise
             self._fail(lane, step, error)
-            return
-        if reference is not None:
-            self._store(lane, step, result, reference)
 
-    def _reference_of(self, frame: int) -> Images:
+    def _reference_of(self, frame: int, step: int) -> Images | None:
+        """The reference of a frame; None, and a failure, where it cannot be made."""
         if self.convergence.camera == "still":
             frame = 0
         if self._reference is None or self._reference[0] != frame:
             self.tell(self.done, self.total, f"reference of {self.convergence.reference.samples} samples")
-            self._reference = (frame, self.engine.reference(frame))
+            try:
+                self._reference = (frame, self.engine.reference(frame))
+            except Exception as error:
+                self.store.record_failure("", "", step, error, "reference")
+                self._reference = (frame, None)
         return self._reference[1]
 
     def _store(self, lane: _Lane, step: int, result: FrameLike, reference: Images) -> None:
         convergence, label = self.convergence, lane.run.label
         if step in convergence.steps or lane.axis == "none":
-            self._store_images(label, step, result, reference)
+            self._store_images(lane.run, step, result, reference)
         a_frame = int(lane.run.params.get(SAMPLES, 1))
         spent = {"frames": a_frame * (step if lane.history else 1), SAMPLES: step}
         row = {
@@ -208,23 +212,27 @@ class _Work:
         lane.todo.discard(step)
         self.done += 1
 
-    def _store_images(self, label: str, step: int, result: FrameLike, reference: Images) -> None:
-        store, own = self.store, step if self.convergence.camera == "path" else 1
+    def _store_images(self, run: TechniqueRun, step: int, result: FrameLike, reference: Images) -> None:
+        store, label, own = self.store, run.label, step if self.convergence.camera == "path" else 1
         if own not in self._shown:
-            write_exr(store.raw(None, "visibility", own), reference[0], f"reference visibility, step {own}")
-            write_exr(store.raw(None, "standard_error", own), reference[1], f"reference standard error, step {own}")
-            write_png(store.view(None, "visibility", own), visibility_view(reference[0]))
+            with store.files("", "", own) as put:
+                put(write_exr, store.raw(None, "visibility", own), reference[0], f"reference visibility, step {own}")
+                note = f"reference standard error, step {own}"
+                put(write_exr, store.raw(None, "standard_error", own), reference[1], note)
+                put(write_png, store.view(None, "visibility", own), visibility_view(reference[0]))
             self._shown.add(own)
-        write_exr(store.raw(label, "visibility", step), result.visibility, f"visibility, {label}, step {step}")
-        write_png(store.view(label, "visibility", step), visibility_view(result.visibility))
-        write_png(store.view(label, "shaded", step), shaded_view(result.color))
-        write_png(store.view(label, "error", step), error_view(result.visibility, reference[0]))
-        if result.standard_error is not None:
-            note = f"standard error, {label}, step {step}"
-            write_exr(store.raw(label, "standard_error", step), result.standard_error, note)
-            write_png(store.view(label, "standard_error", step), standard_error_view(result.standard_error))
+        error = result.standard_error
+        with store.files(run.name, label, step) as put:
+            note = f"{label}, step {step}"
+            put(write_exr, store.raw(label, "visibility", step), result.visibility, f"visibility, {note}")
+            put(write_png, store.view(label, "visibility", step), visibility_view(result.visibility))
+            put(write_png, store.view(label, "shaded", step), shaded_view(result.color))
+            put(write_png, store.view(label, "error", step), error_view(result.visibility, reference[0]))
+            if error is not None:
+                put(write_exr, store.raw(label, "standard_error", step), error, f"standard error, {note}")
+                put(write_png, store.view(label, "standard_error", step), standard_error_view(error))
 
-    def _fail(self, lane: _Lane, step: int, error: Exception) -> None:
+    def _fail(self, lane: _Lane, step: int, error: BaseException) -> None:
         """Records a failure; the label is left out from here on."""
         lane.failed, lane.session, lane.technique = True, None, None
         self.store.record_failure(lane.run.name, lane.run.label, step, error)

@@ -33,6 +33,7 @@ class FrameLike(Protocol):
     left_out: list[tuple[str, str, int]]
     m_x_max: float
     m_z_max: float
+    not_finite: int
 
 
 class SessionLike(Protocol):

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import os
 from pathlib import Path
 
 import numpy as np
 
+from experiments.tables import replace_file
 from wkernels.errors import InputError
 
 NO_RECEIVER = (74, 80, 96)  # slate in views: a pixel without a receiver is neither lit nor dark
 ERROR_SCALE = "colour = sign(error) x sqrt(|error|), from -1 (darker than the reference) to +1 (lighter)"
+_HEAD = 65536  # bytes of a file that are not pixels, and what incompressible pixels grow by; amply
 _ERROR_COLORS = "berlin"  # diverging with a dark middle, so that small errors stand out
 
 
@@ -100,13 +104,35 @@ def _write(path: Path, image: np.ndarray, kind: str, attributes: dict[str, str])
             spec.attribute(name, value)
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".part-{path.name}")
-    out = oiio.ImageOutput.create(str(part))
-    if out is None:
-        raise RuntimeError(f"OpenImageIO cannot write {path.suffix} files: {oiio.geterror()}")
-    done = out.open(str(part), spec) and out.write_image(np.ascontiguousarray(image)) and out.close()
-    if not done:
-        raise OSError(f"cannot write {path}: {out.geterror()}")
-    os.replace(part, path)
+    try:
+        _reserve(part, image.nbytes + _HEAD)
+        out = oiio.ImageOutput.create(str(part))
+        if out is None:
+            raise RuntimeError(f"OpenImageIO cannot write {path.suffix} files: {oiio.geterror()}")
+        done = out.open(str(part), spec) and out.write_image(np.ascontiguousarray(image)) and out.close()
+        # a PNG that did not fit counts as done, but has an error
+        if (message := out.geterror()) or not done:
+            raise OSError(errno.EIO, message.splitlines()[0] if message else "OpenImageIO gives no reason", str(path))
+        replace_file(part, path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            part.unlink()
+        raise OSError(error.errno or errno.EIO, error.strerror or str(error), str(path)) from error
+
+
+def _reserve(part: Path, size: int) -> None:
+    """Refuses to begin what does not fit: where the disk is full libjpeg ends the process, and libpng goes on.
+
+    Raises:
+        OSError: There is no room for ``size`` bytes, or the file cannot be made.
+    """
+    with open(part, "wb") as file:
+        if hasattr(os, "posix_fallocate"):
+            try:
+                os.posix_fallocate(file.fileno(), 0, size)
+            except OSError as error:
+                if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS):  # a file system that cannot tell
+                    raise
 
 
 def _read(path: Path, kind: str) -> np.ndarray:

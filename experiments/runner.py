@@ -7,7 +7,7 @@ comes before the first frame and is never timed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -18,7 +18,7 @@ from experiments.carry_over import carry_over, disoccluded
 from experiments.engine import Engine, FrameLike, WarpEngine
 from experiments.environment import describe_run
 from experiments.images import error_view, shaded_view, visibility_view, write_exr, write_png
-from experiments.lanes import Lane, Timing, pass_medians, timing_columns
+from experiments.lanes import Lane, Timing, check_result, pass_medians, timing_columns
 from experiments.store import Store
 from experiments.tables import Row
 from wkernels.errors import InputError
@@ -35,22 +35,38 @@ class Progress(Protocol):
 
 
 class TechniquesFailed(RuntimeError):
-    """Some techniques raised while rendering; everything else was run and stored, report included.
+    """Something failed: techniques while rendering, or files that could not be written; all else was run and stored.
+
+    Args:
+        out: The result folder.
+        rows: Of failures.csv.
+        store: Where the results went; names tables that it could not write, and where they are.
 
     Attributes:
         out: The result folder.
         labels: The labels that failed.
+        spare: Folder of tables that could not be written; None where all could.
     """
 
-    def __init__(self, out: Path, rows: list[dict[str, str]]) -> None:
+    def __init__(self, out: Path, rows: list[dict[str, str]], store: Store | None = None) -> None:
         self.out = out
-        self.labels = tuple(row["label"] for row in rows)
-        first = rows[0]
-        more = f" ({len(rows) - 1} more in {out / 'failures.csv'})" if len(rows) > 1 else ""
-        super().__init__(
-            f"'{first['label']}' failed on frame {first['frame']}: {first['error']}{more}. "
-            f"Tracebacks are in {out / 'failures'}, the other results in {out}."
-        )
+        self.labels = tuple(dict.fromkeys(row["label"] for row in rows if row["label"]))
+        self.spare = store.spare if store else None
+        parts = []
+        if rows:
+            first = rows[0]
+            what = first.get("what") or "technique"
+            who = f"'{first['label']}'" if first["label"] else f"the {what}"
+            does = "failed" if what in ("technique", "report", "reference") else "could not be stored"
+            more = f" ({len(rows) - 1} more in {out / 'failures.csv'})" if len(rows) > 1 else ""
+            where = f" on frame {first['frame']}" if first["frame"] else ""
+            parts.append(f"{who} {does}{where}: {first['error']}{more}.")
+            parts.append(f"Tracebacks are in {out / 'failures'}, the other results in {out}.")
+            if any(row.get("what", "technique") not in ("", "technique") for row in rows):
+                parts.append("--resume makes again what could not be stored.")
+        if store and store.unwritten:
+            parts.append(store.unwritten_text())
+        super().__init__(" ".join(parts))
 
 
 def run(
@@ -102,23 +118,31 @@ def run(
     store = Store.open(out, experiment.to_yaml(), environment, resume=resume)
     tell = progress or (lambda done, total, what: None)
     walkthrough = _Walkthrough(experiment, engine, store, tell, refusals_fail)
-    try:
-        store.start_tables()
+    with store.writing():
         store.append_once("left_out", left_out)
         walkthrough.render_all()
-    finally:
-        store.close()
-    if report:
-        tell(walkthrough.done, walkthrough.total, "writing the report")
-        if store.rows("frames"):
-            write_report(store.out)
-        else:
-            write_summary(store.out)
+        store.put_in_order([run.label for run in experiment.runs])
+        if report:
+            tell(walkthrough.done, walkthrough.total, "writing the report")
+            attempt_report(store, write_report if store.rows("frames") else write_summary)
     tell(walkthrough.done, walkthrough.total, "done")
-    failures = store.rows("failures")
-    if failures:
-        raise TechniquesFailed(store.out, failures)
+    raise_failures(store)
     return store.out
+
+
+def attempt_report(store: Store, write: Callable[[Path], Any]) -> None:
+    """Writes a report; one that fails is a row of failures.csv, because the results are there."""
+    try:
+        write(store.out)
+    except Exception as error:
+        store.record_failure("", "", "", error, "report")
+
+
+def raise_failures(store: Store) -> None:
+    """Raises TechniquesFailed if anything failed."""
+    failures = store.rows("failures")
+    if failures or store.unwritten:
+        raise TechniquesFailed(store.out, failures, store)
 
 
 class _Walkthrough:
@@ -128,7 +152,7 @@ class _Walkthrough:
         self.experiment, self.engine, self.store, self.tell = experiment, engine, store, tell
         self.refusals_fail = refusals_fail
         stored = store.done()
-        failed = {row["label"] for row in store.rows("failures")}
+        failed = store.failed()
         self.lanes = [
             Lane(
                 run=run,
@@ -172,17 +196,13 @@ class _Walkthrough:
                 lane.session.render(lane.technique)
                 lane.session.advance()
             lane.session.reset()
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             if isinstance(error, InputError) and not self.refusals_fail:
                 raise
             self._fail(lane, self.experiment.frames[0], error)
 
     def _render_timed(self, frame: int, lanes: list[Lane]) -> None:
-        reference = None
-        if frame in self.reference_frames:
-            self.tell(self.done, self.total, f"frame {frame}, reference")
-            reference = self.engine.reference(frame)
-            self._store_reference(frame, reference)
+        reference = self._reference(frame) if frame in self.reference_frames else None
         for _ in range(self.experiment.repeats):
             for lane in lanes:
                 if not lane.failed:
@@ -190,8 +210,26 @@ class _Walkthrough:
                     self._attempt(lane, frame)
         for lane in lanes:
             if not lane.failed:
-                self._store(lane, frame, reference)
+                self._keep(lane, frame, reference)
                 self._commit(lane, frame)
+
+    def _reference(self, frame: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """The frame's reference, stored; None, and a failure, where it cannot be made."""
+        self.tell(self.done, self.total, f"frame {frame}, reference")
+        try:
+            reference = self.engine.reference(frame)
+        except Exception as error:
+            self.store.record_failure("", "", frame, error, "reference")
+            return None
+        self._store_reference(frame, reference)
+        return reference
+
+    def _keep(self, lane: Lane, frame: int, reference: tuple[np.ndarray, np.ndarray] | None) -> None:
+        try:
+            check_result(lane.result, self.experiment.image)
+            self._store(lane, frame, reference)
+        except Exception as error:  # a result that cannot be measured
+            self._fail(lane, frame, error)
 
     def _attempt(self, lane: Lane, frame: int) -> None:
         assert lane.session is not None
@@ -199,7 +237,7 @@ class _Walkthrough:
             lane.session.begin(frame)
             result = lane.result = lane.session.render(lane.technique)
             lane.timings.append(Timing(result.frame_ms, result.shadow_ms, result.passes))
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             self._fail(lane, frame, error)
 
     def _commit(self, lane: Lane, frame: int) -> None:
@@ -209,7 +247,7 @@ class _Walkthrough:
         lane.before = (frame, lane.result.visibility, lane.result.world_position)
         lane.timings, lane.result = [], None
 
-    def _fail(self, lane: Lane, frame: int, error: Exception) -> None:
+    def _fail(self, lane: Lane, frame: int, error: BaseException) -> None:
         """Records a failure; the label is left out from here on and its memory is given back."""
         lane.failed = True
         lane.session = lane.technique = lane.before = lane.result = None
@@ -223,7 +261,7 @@ class _Walkthrough:
         assert result is not None
         key = {"technique": lane.run.name, "label": lane.label, "frame": frame}
         if reference is not None or frame == self.experiment.frames[-1]:
-            self._store_images(lane.label, frame, result, reference)
+            self._store_images(lane, frame, result, reference)
         skipped = self._store_views(lane, frame, result, reference)
         repeats = [
             {**key, "repeat": i, "frame_ms": timing.frame_ms, "shadow_ms": timing.shadow_ms}
@@ -289,11 +327,13 @@ class _Walkthrough:
 
     def _store_reference(self, frame: int, reference: tuple[np.ndarray, np.ndarray]) -> None:
         visibility, standard_error = reference
-        write_exr(self.store.raw(None, "visibility", frame), visibility, f"reference visibility, frame {frame}")
-        write_exr(
-            self.store.raw(None, "standard_error", frame), standard_error, f"reference standard error, frame {frame}"
-        )
-        write_png(self.store.view(None, "visibility", frame), visibility_view(visibility))
+        store, note = self.store, f"frame {frame}"
+        with store.files("", "", frame) as put:
+            put(write_exr, store.raw(None, "visibility", frame), visibility, f"reference visibility, {note}")
+            put(
+                write_exr, store.raw(None, "standard_error", frame), standard_error, f"reference standard error, {note}"
+            )
+            put(write_png, store.view(None, "visibility", frame), visibility_view(visibility))
 
     def _store_views(
         self, lane: Lane, frame: int, result: FrameLike, reference: tuple[np.ndarray, np.ndarray] | None
@@ -310,14 +350,20 @@ class _Walkthrough:
         return make_views(self.experiment, engine, lane.run, session, result, frame, truth, self.store)
 
     def _store_images(
-        self, label: str, frame: int, result: FrameLike, reference: tuple[np.ndarray, np.ndarray] | None
+        self, lane: Lane, frame: int, result: FrameLike, reference: tuple[np.ndarray, np.ndarray] | None
     ) -> None:
-        store = self.store
-        write_exr(store.raw(label, "visibility", frame), result.visibility, f"visibility, {label}, frame {frame}")
-        if result.standard_error is not None:
-            note = f"standard error, {label}, frame {frame}"
-            write_exr(store.raw(label, "standard_error", frame), result.standard_error, note)
-        write_png(store.view(label, "visibility", frame), visibility_view(result.visibility))
-        write_png(store.view(label, "shaded", frame), shaded_view(result.color))
-        if reference is not None:
-            write_png(store.view(label, "error", frame), error_view(result.visibility, reference[0]))
+        store, label = self.store, lane.label
+        with store.files(lane.run.name, label, frame) as put:
+            note = f"{label}, frame {frame}"
+            put(write_exr, store.raw(label, "visibility", frame), result.visibility, f"visibility, {note}")
+            if result.standard_error is not None:
+                put(
+                    write_exr,
+                    store.raw(label, "standard_error", frame),
+                    result.standard_error,
+                    f"standard error, {note}",
+                )
+            put(write_png, store.view(label, "visibility", frame), visibility_view(result.visibility))
+            put(write_png, store.view(label, "shaded", frame), shaded_view(result.color))
+            if reference is not None:
+                put(write_png, store.view(label, "error", frame), error_view(result.visibility, reference[0]))

@@ -2,13 +2,16 @@
 
 A frame's rows in the side tables and its images are written first and its row in frames.csv last, so that a row in
 frames.csv means that everything of that label and frame is there. ``Store.recover`` drops whatever is not so covered.
+
+What cannot be written ends no run. Rows wait in memory for the next that can be written; those that wait at the end go
+to a spare folder. An image that cannot be written is a row of failures.csv, and its frame is rendered again with
+``resume``; so is what a folder that was deleted had held.
 """
 
 from __future__ import annotations
 
 import json
 import shutil
-import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -16,7 +19,8 @@ from typing import Any, Literal, Self
 
 from experiments.config.source import load_yaml
 from experiments.metrics import MAP_METRICS, METRICS, SCORES
-from experiments.tables import Row, Table, cell, read_table, table_text, write_text
+from experiments.result_tables import FAILURE_COLUMNS, RECORD, ResultTables, cannot_write
+from experiments.tables import Row, table_text, write_text
 from wkernels.errors import InputError
 
 FRAME_COLUMNS = (
@@ -29,7 +33,6 @@ FRAME_COLUMNS = (
 REPEAT_COLUMNS = ("technique", "label", "frame", "repeat", "frame_ms", "shadow_ms")
 PASS_COLUMNS = ("technique", "label", "frame", "pass", "ms")
 LEFT_OUT_COLUMNS = ("label", "what", "reason", "count", "frame")
-FAILURE_COLUMNS = ("technique", "label", "frame", "error")
 TABLES: Mapping[str, tuple[str, ...]] = {
     "frames": FRAME_COLUMNS,
     "repeats": REPEAT_COLUMNS,
@@ -52,23 +55,12 @@ def _json(data: Mapping[str, Any]) -> str:
     return json.dumps(data, indent=2, ensure_ascii=False) + "\n"
 
 
-class Store:
-    """One result folder.
-
-    Attributes:
-        out: The folder.
-        tables: Columns of its tables.
-        main: The table with one row for each piece of work that is done.
-        place: The column of that table that, with the label, names the piece.
-    """
+class Store(ResultTables):
+    """One result folder."""
 
     tables: Mapping[str, tuple[str, ...]] = TABLES
     main = "frames"
     place = "frame"
-
-    def __init__(self, out: Path) -> None:
-        self.out = out
-        self._tables: dict[str, Table] = {}
 
     # ---- Opening ----
 
@@ -82,9 +74,7 @@ class Store:
         out = Path(out)
         if not out.is_dir():
             raise InputError("there is no such result folder.", file=out)
-        missing = [
-            name for name in ("config.yaml", "environment.json", f"{cls.main}.csv") if not (out / name).is_file()
-        ]
+        missing = [name for name in (*sorted(RECORD), f"{cls.main}.csv") if not (out / name).is_file()]
         if missing:
             raise InputError(f"is not a result folder: it has no {', '.join(missing)}.", file=out)
         store = cls(out)
@@ -103,13 +93,14 @@ class Store:
             resume: Continue: keep complete rows. Without earlier rows this is a fresh start.
 
         Raises:
-            InputError: The folder cannot be written, holds something else, or holds results of another run.
+            InputError: The folder cannot be written, holds something else or results of another run, or another run is
+                writing there.
         """
         store = cls(Path(out))
         try:
             store._prepare(config, environment, resume)
         except OSError as error:
-            raise InputError(f"cannot write results here ({error.strerror or error}).", file=out) from error
+            raise cannot_write(store.out, error) from error
         return store
 
     def _prepare(self, config: str, environment: Mapping[str, Any], resume: bool) -> None:
@@ -118,12 +109,14 @@ class Store:
             raise InputError("is a file; results need a folder.", file=out)
         if not self._is_ours():
             raise InputError("holds other files and no earlier run; give a new or empty folder with --out.", file=out)
+        self._lock.refuse_if_taken(out)
         config_file = out / "config.yaml"
         started = self.started()
         if started:
             self._check_same(config_file, config, environment, resume)
         if started and resume:
             self.recover()
+            self._note_resumed(environment)
             return
         self._clear()
         out.mkdir(parents=True, exist_ok=True)
@@ -133,7 +126,15 @@ class Store:
 
     def started(self) -> bool:
         """Whether there is anything that a resumed run would keep."""
-        return any(self.rows(name) for name in ("frames", "convergence", "failures"))
+        return any(self.rows(name) for name in ("frames", "convergence", "stability", "failures"))
+
+    def _note_resumed(self, environment: Mapping[str, Any]) -> None:
+        """Adds the machine and commit of this part of the run, where they are not those of the part before."""
+        now = {k: v for k, v in environment.get("environment", {}).items() if k != "date"}
+        told = self.environment()
+        parts = [told.get("environment", {}), *told.get("resumed", [])]
+        if {k: v for k, v in parts[-1].items() if k != "date"} != now:
+            self.update_environment(resumed=[*parts[1:], environment["environment"]])
 
     def _is_ours(self) -> bool:
         """Whether everything here may be replaced: nothing is here, or a run that this module began."""
@@ -160,70 +161,63 @@ class Store:
             raise InputError(message, file=self.out / "environment.json")
 
     def _clear(self) -> None:
+        """Deletes what an earlier run wrote but environment.json, so that after a kill the rest is known to be ours."""
         written = ("convergence", "estimates", "stability", "summary", "published", "prediction")
-        names = [f"{name}.csv" for name in (*TABLES, *written)]
-        names += ["report.html", "environment.json", "config.yaml"]
-        for name in names:
-            (self.out / name).unlink(missing_ok=True)
+        for name in ["failures", *TABLES, *written]:  # rows first: they say that images are there
+            (self.out / f"{name}.csv").unlink(missing_ok=True)
         for folder in ("images", "plots", "failures"):
             if (self.out / folder).is_dir():
                 shutil.rmtree(self.out / folder)
+        for name in ("report.html", "config.yaml"):
+            (self.out / name).unlink(missing_ok=True)
 
     def recover(self) -> None:
-        """Makes all tables consistent with the complete rows of the main one and of failures.csv."""
+        """Makes all tables consistent with the complete rows of the main one and of failures.csv.
+
+        Rows go whose images could not be written, or whose reference could not be made, so that they are made again.
+        """
+        failures = self.rows("failures")
+        again = [row for row in failures if row.get("what", "technique") not in ("", "technique")]
+        self._write_rows(self.main, [row for row in self.rows(self.main) if self._is_whole(row, again)])
         done = self.done()
-        for name, columns in self.tables.items():
-            rows = self.rows(name)
-            if name in ("repeats", "passes", "left_out"):  # a row without a frame is about the whole run
-                rows = [row for row in rows if not row["frame"] or (row["label"], int(row["frame"])) in done]
-            write_text(self.out / f"{name}.csv", table_text(columns, rows))
-
-    # ---- Rows ----
-
-    def append(self, table: str, rows: Sequence[Row]) -> None:
-        """Adds rows to a table of ``tables``; they are on the disk when this returns."""
-        if table not in self._tables:
-            self._tables[table] = Table(self.out / f"{table}.csv", self.tables[table])
-        self._tables[table].append(rows)
-
-    def append_once(self, table: str, rows: Sequence[Row]) -> None:
-        """Adds those rows that are not there yet, which an earlier part of the run may have added."""
-        names = self.tables[table]
-        there = {tuple(row[name] for name in names) for row in self.rows(table)}
-        self.append(table, [row for row in rows if tuple(cell(row.get(name)) for name in names) not in there])
-
-    def record_failure(self, technique: str, label: str, place: int, error: Exception) -> None:
-        """Adds a row to failures.csv and a file with the traceback; ``place`` is the frame or step."""
-        short = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-        folder = self.out / "failures"
-        folder.mkdir(exist_ok=True)
-        write_text(folder / f"{label}.txt", "".join(traceback.format_exception(error)))
-        self.append("failures", [{"technique": technique, "label": label, "frame": place, "error": short}])
-
-    def start_tables(self) -> None:
-        """Creates every table, so that one without rows is there with its head."""
         for name in self.tables:
-            self.append(name, [])
+            rows = self.rows(name)
+            if name == "failures":
+                rows = [row for row in failures if row not in again]
+            elif name != self.main and self.place in self.tables[name]:  # a row without a frame is about the whole run
+                rows = [row for row in rows if not row[self.place] or (row["label"], int(row[self.place])) in done]
+            if name != self.main:
+                self._write_rows(name, rows)
+        for part in self.out.rglob(".part-*"):
+            part.unlink(missing_ok=True)
 
-    def close(self) -> None:
-        """Closes all tables."""
-        for table in self._tables.values():
-            table.close()
-        self._tables.clear()
+    def _write_rows(self, table: str, rows: Sequence[Row]) -> None:
+        write_text(self.out / f"{table}.csv", table_text(self.tables[table], rows))
 
-    def rows(self, table: str) -> list[dict[str, str]]:
-        """The complete rows of a table, every cell as text; empty where the table is missing."""
-        return read_table(self.out / f"{table}.csv")
+    def _is_whole(self, row: Mapping[str, str], failures: Collection[Mapping[str, str]]) -> bool:
+        """Whether nothing is missing of the piece of work that a row of the main table is about."""
+        if not row[self.place].isdigit():
+            return False
+        for failure in failures:
+            here = failure["frame"] == row[self.place]
+            if failure["what"] == "file" and here and failure["label"] == row["label"]:
+                return False
+            if failure["what"] in ("file", "reference") and here and not failure["label"]:
+                return False
+            if failure["what"] == "folder" and self._has_images(row):
+                if not self.raw(row["label"], "visibility", int(row[self.place])).is_file():
+                    return False
+        return True
 
-    def done(self) -> set[tuple[str, int]]:
-        """Label and frame (or step) of all complete ones."""
-        return {(row["label"], int(row[self.place])) for row in self.rows(self.main)}
+    def _has_images(self, row: Mapping[str, str]) -> bool:
+        frames = self.environment()["run"].get("frames", [])
+        return bool(row["rmse"]) or int(row["frame"]) == (frames[-1] if frames else -1)
+
+    # ---- Record ----
 
     def rewrite_frames(self, change: Callable[[dict[str, str]], Row]) -> None:
         """Replaces every row of frames.csv by ``change(row)``, in one step."""
         write_text(self.out / "frames.csv", table_text(FRAME_COLUMNS, [change(row) for row in self.rows("frames")]))
-
-    # ---- Record ----
 
     def environment(self) -> dict[str, Any]:
         """environment.json.
@@ -289,6 +283,9 @@ class ConvergenceStore(Store):
     )
     main = "convergence"
     place = "step"
+
+    def _has_images(self, row: Mapping[str, str]) -> bool:
+        return not row["over"] or int(row["step"]) in self.environment()["run"].get("steps", [])
 
 
 def image_folder(label: str | None) -> str:

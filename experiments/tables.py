@@ -1,7 +1,8 @@
-"""CSV tables of which a kill at any moment leaves all complete rows."""
+"""CSV tables of which a kill at any moment leaves all complete rows, and a full disk none but complete ones."""
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import math
@@ -12,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 Row = Mapping[str, Any]
+
+_READ_WRITE = os.O_RDWR | getattr(os, "O_BINARY", 0)
 
 
 def cell(value: Any) -> str:
@@ -29,14 +32,36 @@ def _line(cells: Sequence[str]) -> str:
     return text.getvalue()
 
 
-def write_text(path: Path, text: str) -> None:
-    """Replaces a file in one step, so that a kill leaves the old or the new one."""
-    part = path.with_name(f".part-{path.name}")
-    with open(part, "w", encoding="utf-8", newline="") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
+def replace_file(part: Path, path: Path) -> None:
+    """Puts a complete file in another's place; a kill or a loss of power leaves one or the other."""
+    _to_disk(part, _READ_WRITE)
     os.replace(part, path)
+    if os.name == "posix":  # elsewhere a folder cannot be opened
+        _to_disk(path.parent, os.O_RDONLY)
+
+
+def _to_disk(path: Path, flags: int) -> None:
+    handle = os.open(path, flags)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Replaces a file in one step, so that a kill leaves the old or the new one.
+
+    Raises:
+        OSError: It cannot be written; what was there is there still.
+    """
+    part = path.with_name(f".part-{path.name}")
+    try:
+        part.write_bytes(text.encode())
+        replace_file(part, path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            part.unlink()
+        raise
 
 
 def table_text(columns: Sequence[str], rows: Sequence[Row]) -> str:
@@ -45,39 +70,102 @@ def table_text(columns: Sequence[str], rows: Sequence[Row]) -> str:
 
 
 class Table:
-    """An append-only CSV file; a row is on the disk when ``append`` returns."""
+    """An append-only CSV file; a row is on the disk when ``append`` returns.
+
+    Where it cannot be written, complete rows stay in ``unwritten`` and go to the disk with the next that can be.
+
+    Attributes:
+        path: The file.
+        columns: Names of its columns.
+        unwritten: Rows, as text, that wait for the disk.
+    """
 
     def __init__(self, path: Path, columns: Sequence[str]) -> None:
-        self.columns = tuple(columns)
-        new = not path.exists() or path.stat().st_size == 0
-        self._file = open(path, "a", encoding="utf-8", newline="")
-        if new:
-            self._put(_line(self.columns))
+        self.path, self.columns = path, tuple(columns)
+        self.unwritten = ""
+        self._file, self._size = -1, 0
 
     def append(self, rows: Sequence[Row]) -> None:
-        """Adds rows; a key that is not a column is a defect."""
+        """Adds rows; a key that is not a column is a defect.
+
+        Raises:
+            OSError: They are in ``unwritten``; the file holds what it held.
+        """
         for row in rows:
             unknown = set(row) - set(self.columns)
             if unknown:
                 raise KeyError(f"no such column: {', '.join(sorted(unknown))}")
-        if rows:
-            self._put("".join(_line([cell(row.get(name)) for name in self.columns]) for row in rows))
+        self.unwritten += "".join(_line([cell(row.get(name)) for name in self.columns]) for row in rows)
+        self.flush()
 
-    def _put(self, text: str) -> None:
-        self._file.write(text)
-        self._file.flush()
-        os.fsync(self._file.fileno())
+    def flush(self) -> None:
+        """Writes what waits; makes a file that was deleted or moved away anew, with all its rows.
+
+        Raises:
+            OSError: As ``append``.
+        """
+        if self._file < 0:
+            self._file = os.open(self.path, _READ_WRITE | os.O_CREAT, 0o666)
+            self._size = os.fstat(self._file).st_size
+        elif self._is_gone():
+            self._make_anew()
+        data = ("" if self._size else _line(self.columns)).encode() + self.unwritten.encode()
+        done = 0
+        try:
+            os.lseek(self._file, self._size, os.SEEK_SET)
+            while done < len(data):  # a disk that fills up takes a part first and refuses the rest
+                done += os.write(self._file, data[done:])
+            if data:
+                os.fsync(self._file)
+        except OSError:
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._file, self._size)
+            raise
+        self._size += done
+        self.unwritten = ""
+
+    def text(self) -> str:
+        """The whole table, with the rows that wait."""
+        if self._file < 0:
+            held = self.path.read_bytes() if self.path.is_file() else b""
+        else:
+            held = b""
+            os.lseek(self._file, 0, os.SEEK_SET)
+            while len(held) < self._size and (more := os.read(self._file, self._size - len(held))):
+                held += more
+        return (held.decode("utf-8", errors="replace") or _line(self.columns)) + self.unwritten
+
+    def _is_gone(self) -> bool:
+        try:
+            there = os.stat(self.path)
+        except (FileNotFoundError, NotADirectoryError):
+            return True
+        return not os.path.samestat(there, os.fstat(self._file))
+
+    def _make_anew(self) -> None:
+        text = self.text()
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(self.path, text)
+        self.close()
+        self._file = os.open(self.path, _READ_WRITE)
+        self._size, self.unwritten = len(text.encode()), ""
 
     def close(self) -> None:
         """Closes the file; closing twice is fine."""
-        self._file.close()
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
 
 
 def read_table(path: Path) -> list[dict[str, str]]:
     """The rows of a CSV table that are complete: a line without its line end, as a kill leaves it, is not."""
     if not path.is_file():
         return []
-    text = path.read_bytes().decode("utf-8", errors="replace")
+    return parse_table(path.read_bytes().decode("utf-8", errors="replace"))
+
+
+def parse_table(text: str) -> list[dict[str, str]]:
+    """The complete rows of a table's text."""
     lines = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1], newline="")))
     if not lines:
         return []

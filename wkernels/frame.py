@@ -17,7 +17,7 @@ import warp as wp
 
 from wkernels import gbuffer as gb
 from wkernels.caster_tree import CasterTree, CasterTreeBuilder
-from wkernels.frame_result import G_BUFFER, SHADING, FrameResult, read_back
+from wkernels.frame_result import G_BUFFER, SHADING, FrameResult, check_image, read_back
 from wkernels.geometry import Bounds, Geometry
 from wkernels.history import History
 from wkernels.jitter import Jitter, jittered_view
@@ -144,13 +144,11 @@ class Session:
         self._timer.start()
         visibility = technique.render(self)
         self.near_plane.look_back(self)
-        gbuffer = self._gbuffers.get(visibility.shape) or self.gbuffer()
-        if visibility.shape != gbuffer.depth.shape or visibility.dtype != wp.float32:
-            # kernels do not check bounds: shading would read past the end
-            raise ValueError(
-                f"{type(technique).__name__}.render returned {visibility.dtype.__name__} {visibility.shape}, "
-                f"not float32 of a G-buffer's size {gbuffer.depth.shape}"
-            )
+        own = self._gbuffers.get(visibility.shape) if isinstance(visibility, wp.array) else None
+        gbuffer = own or self.gbuffer()
+        check_image(f"{type(technique).__name__}.render returned", visibility, gbuffer.depth.shape)
+        if self.standard_error is not None:
+            check_image(f"{type(technique).__name__}'s standard error is", self.standard_error, gbuffer.depth.shape)
         with self._timer.timed(SHADING):
             color = self.buffer("color", visibility.shape, wp.vec3)
             shade(gbuffer, self.geometry.mesh_diffuse, self.light, visibility, color, self.device, self.threads)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -32,6 +32,7 @@ class FrameResult:
         shadow_ms: Without G-buffer and shading.
         left_out: (what, reason, count) of work this frame did not need.
         m_x_max, m_z_max: Largest perspective aliasing error along the view vector; NaN without a shadow map.
+        not_finite: Receiver pixels whose visibility the technique left NaN or infinite: its defect.
     """
 
     visibility: np.ndarray
@@ -44,6 +45,21 @@ class FrameResult:
     left_out: list[tuple[str, str, int]]
     m_x_max: float
     m_z_max: float
+    not_finite: int = 0
+
+
+def check_image(what: str, image: Any, shape: tuple[int, ...]) -> None:
+    """Refuses what kernels would read past the end of, as they do not check bounds.
+
+    Raises:
+        ValueError: ``image`` is no Warp array, or not float32 of ``shape``; ``what`` begins the message.
+    """
+    found = f"a {type(image).__name__}"
+    if isinstance(image, wp.array):
+        if image.shape == shape and image.dtype == wp.float32:
+            return
+        found = f"{image.dtype.__name__} {image.shape}"
+    raise ValueError(f"{what} {found}, not float32 of a G-buffer's size {shape}")
 
 
 def read_back(
@@ -63,13 +79,15 @@ def read_back(
     flags = gbuffer.flags.numpy()[rows, cols]
     seen = gbuffer.mesh.numpy()[rows, cols] >= 0
     lit = visibility.numpy()[rows, cols].copy()
-    lit[(flags & RECEIVES) == 0] = np.nan
+    receives = (flags & RECEIVES) != 0
+    not_finite = int((receives & ~np.isfinite(lit)).sum())
+    lit[~receives] = np.nan
     position = gbuffer.position_ws.numpy()[rows, cols] + frame.geometry.origin_ws
     position[~seen] = np.nan
     error = None
     if frame.standard_error is not None:
         error = frame.standard_error.numpy()[rows, cols].copy()
-        error[np.isnan(lit)] = np.nan
+        error[~receives] = np.nan
     m_x = m_z = float("nan")
     if frame.light_views is not None:
         views, sample = frame.light_views
@@ -87,4 +105,5 @@ def read_back(
         left_out=[(what, reason, count) for (what, reason), count in frame.left_out.items()],
         m_x_max=m_x,
         m_z_max=m_z,
+        not_finite=not_finite,
     )

@@ -132,8 +132,10 @@ def _run_sweep(request: _Request) -> None:
 def _interruptible(folder: Path) -> Iterator[None]:
     try:
         yield
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
         print(f"\nInterrupted; what is done is in {folder}, --resume continues.", file=sys.stderr)
+        for note in getattr(error, "__notes__", ()):
+            print(note, file=sys.stderr)
         raise
 
 

@@ -180,7 +180,7 @@ def _record(store: SweepStore, scene: str, error: Exception) -> Row:
         write_text(store.out / "failures" / f"{scene}.txt", "".join(traceback.format_exception(error)))
     except OSError:
         pass  # a full disk is the likeliest failure of a scene; the row says what happened
-    return {"scene": scene, "technique": None, "label": None, "frame": None, "error": short}
+    return {"scene": scene, "technique": None, "label": None, "frame": None, "error": short, "what": "scene"}
 
 
 def describe_sweep(

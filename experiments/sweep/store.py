@@ -17,7 +17,7 @@ PARETO_COLUMNS = (
 EQUAL_TIME_COLUMNS = ("scene", "budget_label", "budget_ms", "place", "label", "frame_ms", "rmse")
 EQUAL_ERROR_COLUMNS = ("scene", "target_label", "target_rmse", "place", "label", "frame_ms", "rmse")
 RECOMMENDATION_COLUMNS = ("scene", "label", "reason")
-SWEEP_FAILURE_COLUMNS = ("scene", "technique", "label", "frame", "error")
+SWEEP_FAILURE_COLUMNS = ("scene", "technique", "label", "frame", "error", "what")
 
 
 class SweepStore(Store):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import traceback
 from collections.abc import Callable, Mapping
@@ -98,12 +99,13 @@ def make_views(
                 # one picture must not cost the run: it is recorded, with its traceback, and the others are made
                 skipped.append((f"view {name}", f"it could not be drawn: {type(error).__name__}: {error}", 1))
                 text = "".join(traceback.format_exception(error))
-                folder = store.out / "failures"
-                folder.mkdir(exist_ok=True)
-                write_text(folder / f"{run.label}, {name}, frame {frame}.txt", text)
+                with contextlib.suppress(OSError):
+                    (store.out / "failures").mkdir(exist_ok=True)
+                    write_text(store.out / "failures" / f"{run.label}, {name}, frame {frame}.txt", text)
                 continue
             title = f"{KINDS[kind].title}{_place(name)}: {run.label}, frame {frame}"
-            write_png(store.picture(run.label, name, frame), composed(sheet, title, words))
+            with store.files(run.name, run.label, frame) as put:
+                put(write_png, store.picture(run.label, name, frame), composed(sheet, title, words))
     return skipped
 
 
