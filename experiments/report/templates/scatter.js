@@ -146,7 +146,7 @@ function pointCard(point, data, state, pinned = false) {
     .filter(([name]) => pinned || [state.x, state.y, ...data.x, ...data.y.slice(0, 6)].includes(name))
     .map(([name, values]) => el("tr", { class: name === state.x || name === state.y ? "chosen" : null },
       el("th", { scope: "row" }, axisTitle(data.columns[name])), el("td", {}, number(values[0])),
-      el("td", { class: "range" }, values.length === 3 && values[1] !== values[2] ? `${number(values[1])} to ${number(values[2])}` : "")));
+      el("td", { class: "range" }, (pinned || name === state.x || name === state.y) && values.length === 3 && values[1] !== values[2] ? `${number(values[1])} to ${number(values[2])}` : "")));
   const details = Object.entries(point.details).map(([name, text]) => `${name} ${text}`).join(" · ");
   return el("div", { class: "card-body" },
     el("strong", {}, point.label), point.technique !== point.label && el("span", { class: "soft" }, ` ${point.technique}`),

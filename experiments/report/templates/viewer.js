@@ -41,8 +41,8 @@ function startViewer(holder, data, chart) {
   const readout = el("dl", { class: "readout", "aria-label": "Values of the pixel under the pointer" }, cells.map(([name, node]) => el("div", {}, el("dt", {}, name), node)));
   const strip = names.map((name) => {
     const numbers = chart?.points.find((point) => point.label === name)?.values ?? {};
-    const facts = [numbers.rmse && `RMSE ${number(numbers.rmse[0])}`, numbers.frame_ms && `${number(numbers.frame_ms[0])} ms`].filter(Boolean).join(" · ");
-    return el("button", { type: "button", class: "thumb", "data-label": title(name), onclick: () => viewer.select(name) },
+    const facts = [numbers.rmse && number(numbers.rmse[0]), numbers.frame_ms && `${number(numbers.frame_ms[0])} ms`].filter(Boolean).join(" · ");
+    return el("button", { type: "button", class: "thumb", "data-label": title(name), title: facts && `${title(name)}: median RMSE and frame time`, onclick: () => viewer.select(name) },
       el("canvas", { "aria-hidden": "true" }), el("span", {}, title(name)), el("small", { "data-facts": facts }));
   });
   holder.replaceChildren(
