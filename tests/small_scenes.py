@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -155,6 +156,19 @@ def cluttered(lamp: Light, view: Camera | None = None) -> Scene:
         lamp,
         view,
     )
+
+
+def moved(still: Scene, mesh: int, offset: Callable[[int], float]) -> Scene:
+    """The scene with one mesh that moves along x, ``offset`` of the frame."""
+
+    def pose(frame: int) -> np.ndarray:
+        out = np.eye(4)
+        out[0, 3] = offset(frame)
+        return out
+
+    meshes = list(still.meshes)
+    meshes[mesh] = replace(meshes[mesh], object_to_ws=pose, moving=True)
+    return replace(still, meshes=tuple(meshes))
 
 
 def corners_of(shapes: list[Triangles]) -> np.ndarray:
