@@ -18,6 +18,7 @@ from wkernels.layer_lanes import to_layers
 from wkernels.light_map import LightMap
 from wkernels.own_umbra import own_umbra_run
 from wkernels.receiver_lanes import LaneViews, locate_run
+from wkernels.sample_window import SAME
 from wkernels.shadow_buffer_update import (
     DISOCCLUDE,
     FULL_WIDTH_ERROR,
@@ -113,6 +114,7 @@ def update_shadow_buffer_lanes(
     n = history.n
     rises = history.blocker_rise
     of_mover = history.of_mover
+    spreads = history.spread
     on_mover = points.moves
     alone = Ints(0)  # pixels for the plain function
     alone_count = int(0)
@@ -123,6 +125,10 @@ def update_shadow_buffer_lanes(
     counts_tests = settings.counts_tests
     weight = settings.weight
     limit = settings.storage.limit
+    largest = settings.window.largest - 1.0
+    agreement = settings.window.agreement
+    least_window = settings.window.least
+    varies = wp.where(agreement > 0.0, SAME, 2.0)  # no variance is larger than 1/4
     searches = wp.where(settings.start != START_SAMPLE, 1, 0)
     follows = wp.where(settings.followed_samples > 0.0, 1, 0)
     threshold = wp.where(settings.smooths != 0, settings.error_threshold, 2.0)  # no error is larger than 1
@@ -134,6 +140,12 @@ def update_shadow_buffer_lanes(
         known = wp.where(counts_tests != 0, n[k], rho[k]) + first_blockers
         refined = wp.where(rises[k] > 0.0, (new_rise[k] + rises[k] * known) / (known + 1.0), new_rise[k])
         rises[k] = wp.where(new_rise[k] > 0.0, refined, rises[k])
+        before = wp.clamp(rho[k] / wp.where(n[k] > 0.0, n[k], 1.0), 0.0, 1.0)
+        agreed = wp.max(agreement * before * (1.0 - before) / wp.max(spreads[k], SAME), least_window)
+        longest = wp.where(spreads[k] > varies, wp.min(largest, agreed), largest)
+        keeps = wp.where(n[k] > longest, longest / wp.max(n[k], 1.0e-30), 1.0)
+        rho[k] = rho[k] * keeps
+        n[k] = n[k] * keeps
         scale = wp.where(n[k] + weight > limit, 0.5, 1.0)
         rho[k] = scale * rho[k] + weight * tau[k]
         n[k] = scale * n[k] + weight

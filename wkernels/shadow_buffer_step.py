@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 import warp as wp
 
+from wkernels.estimators import FLOAT32_LIMIT, UNLIMITED
 from wkernels.filtering import pull_footprint
 from wkernels.frame import Session
 from wkernels.gbuffer import PADDING, GBuffer
@@ -23,6 +24,7 @@ from wkernels.receiver_lanes import lane_views
 from wkernels.shadow_buffer import BILINEAR, LINEAR, NEAREST, TEXEL_TYPES, storage_of
 from wkernels.shadow_buffer_lanes import update_shadow_buffer_lanes
 from wkernels.shadow_buffer_update import AT_ONCE, DISOCCLUDE, GRADUAL, UPDATE, UpdateSettings
+from wkernels.stillness import count_still_frames
 
 MOVERS = {"disocclude": DISOCCLUDE, "at_once": AT_ONCE, "gradual": GRADUAL, "ignore": DISOCCLUDE}
 """Treatment of moving casters' shadows by name; to ``ignore`` them no map is tagged."""
@@ -44,6 +46,11 @@ class StepParams(Protocol):
     mover_surfaces: str
     mover_samples: float
     turned_away: str
+    largest_n: float
+    agreement: float
+    least_window: float
+    stop_error: float
+    stop_samples: int
 
     @property
     def device_bias(self) -> Bias: ...
@@ -86,6 +93,8 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
     out.light_size = 2.0 * np.tan(0.5 * frame.light.size) if frame.light.is_directional else frame.light.size
     if p.turned_away == "dark":
         out.light_corners = pull_light_corners(frame)
+    out.window.largest = p.largest_n if p.largest_n < FLOAT32_LIMIT else UNLIMITED
+    out.window.agreement, out.window.least = p.agreement, p.least_window
     out.has_history = int(history.valid)
     out.has_movers = int(
         p.movers != "ignore"
@@ -98,6 +107,21 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
         motion = pull_mesh_motion(frame, history.previous_index)
         out.motion, out.normal_motion, out.followed_samples = motion.points, motion.normals, p.mover_samples
     return ShadowStep(gbuffer, history, psi, error, half_width), out
+
+
+def is_settled(frame: Session, step: ShadowStep, p: StepParams) -> bool:
+    """Whether the picture of the last frame may stand, as nothing has changed and it is as good as was asked for.
+
+    Every pixel holds ``stop_samples`` tests and a standard error of at most ``stop_error``. What was shown then is
+    still in the technique's buffers; the shadow buffer is handed on.
+    """
+    if p.stop_error <= 0.0:
+        return False
+    settled = count_still_frames(frame) >= p.stop_samples and float(step.error.numpy().max()) <= p.stop_error
+    if settled and frame.leave_out("light sample", "nothing moves and no standard error exceeds stop_error"):
+        wp.copy(step.history.current, step.history.previous)
+        return True
+    return False
 
 
 def add_sample(frame: Session, step: ShadowStep, settings: UpdateSettings, p: StepParams) -> None:
