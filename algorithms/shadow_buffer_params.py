@@ -45,6 +45,33 @@ class ShadowBufferParams(MapParams):
         "halve both sums before n leaves what the texel format counts exactly; published: no, which drifts in float16",
         unit="yes/no",
     )
+    largest_n: float = setting(
+        2.0**22,
+        "largest n: an exponential window of so many tests, so that older ones leave; the default is no window. In "
+        "float16 each frame then rounds both sums, which is too much above 64",
+        unit="samples",
+        ge=2.0,
+        le=2.0**22,
+    )
+    agreement: float = setting(
+        0.3,
+        "the same per pixel: n of interpolated history is at most this multiple of psi (1 - psi) / variance of psi "
+        "among its texels; 0: not limited, as published",
+        unit="1",
+        ge=0.0,
+        le=1e6,
+    )
+    least_window: float = setting(4.0, "n to which agreement may limit history", unit="samples", ge=1.0, le=2.0**22)
+    stop_error: float = setting(
+        0.0,
+        "standard error from which down nothing is drawn any more while eye, light and scene stand still; 0: never",
+        unit="1",
+        ge=0.0,
+        le=1.0,
+    )
+    stop_samples: int = setting(
+        256, "still frames before that, as few tests that agree promise too much", unit="frames", ge=2, le=2**22
+    )
     movers: Movers = setting(
         "disocclude",
         "shadows of moving casters: every frame starts anew and stores nothing; stored and dropped at once when they "

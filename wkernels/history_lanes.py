@@ -37,6 +37,7 @@ class HistoryRun:
     n: Floats
     blocker_rise: Floats
     of_mover: Ints
+    spread: Floats
 
 
 @wp.struct
@@ -174,6 +175,8 @@ def fetch_run(
     rho = Floats(0.0)
     n = Floats(0.0)
     rise = Floats(0.0)
+    mean = Floats(0.0)
+    spread = Floats(0.0)
     of_mover = Ints(0)
     for dy in range(2):
         for dx in range(2):
@@ -209,17 +212,24 @@ def fetch_run(
                 total[k] = total[k] + taken
                 rho[k] = rho[k] + taken * held_rho
                 n[k] = n[k] + taken * held_n
+                held_psi = held_rho / wp.where(held_n > 0.0, held_n, 1.0)
+                mean[k] = mean[k] + taken * held_psi
+                spread[k] = spread[k] + taken * held_psi * held_psi
                 met = wp.where(held_rise > 0.0, taken, 0.0)
                 known[k] = known[k] + met
                 rise[k] = rise[k] + met * held_rise
                 of_mover[k] = wp.where(tagged_depth < 0.0, wp.where(taken > 0.0, 1, of_mover[k]), of_mover[k])
     out = HistoryRun()
     for k in range(LANES):
-        rho[k] = wp.where(total[k] > 0.0, rho[k] / wp.where(total[k] > 0.0, total[k], 1.0), 0.0)
-        n[k] = wp.where(total[k] > 0.0, n[k] / wp.where(total[k] > 0.0, total[k], 1.0), 0.0)
+        whole = wp.where(total[k] > 0.0, total[k], 1.0)
+        rho[k] = wp.where(total[k] > 0.0, rho[k] / whole, 0.0)
+        n[k] = wp.where(total[k] > 0.0, n[k] / whole, 0.0)
         rise[k] = rise[k] / wp.max(known[k], 1.0e-6)
+        middle = mean[k] / whole
+        spread[k] = wp.max(spread[k] / whole - middle * middle, 0.0)
     out.rho = rho
     out.n = n
     out.blocker_rise = rise
     out.of_mover = of_mover
+    out.spread = spread
     return out

@@ -36,6 +36,7 @@ class ShadowRecord:
     depth: float  # linear eye depth, scene units
     blocker_rise: float  # 1 - z_b / z_r: how much nearer to the light the mean blocker is; 0: none was met
     of_mover: int  # 1: a caster that moves cast some of the shadow in rho
+    spread: float  # variance of psi among the texels that this was interpolated from
 
 
 @wp.struct
@@ -203,6 +204,8 @@ def fetch_record(
         rho = wp.vec2()
         n = wp.vec2()
         rise = wp.vec2()
+        psi = wp.vec2()
+        square = wp.vec2()
         for dy in range(2):
             for dx in range(2):
                 share = wp.where(dx == 1, share_x, 1.0 - share_x) * wp.where(dy == 1, share_y, 1.0 - share_y)
@@ -216,6 +219,9 @@ def fetch_record(
                     total[tag] = total[tag] + share
                     rho[tag] = rho[tag] + share * held.rho
                     n[tag] = n[tag] + share * held.n
+                    held_psi = held.rho / held.n
+                    psi[tag] = psi[tag] + share * held_psi
+                    square[tag] = square[tag] + share * held_psi * held_psi
                     if held.blocker_rise > 0.0:
                         known[tag] = known[tag] + share
                         rise[tag] = rise[tag] + share * held.blocker_rise
@@ -225,6 +231,8 @@ def fetch_record(
             result.n = n[tag] / total[tag]
             result.blocker_rise = rise[tag] / wp.max(known[tag], 1.0e-6)
             result.of_mover = tag
+            mean = psi[tag] / total[tag]
+            result.spread = wp.max(square[tag] / total[tag] - mean * mean, 0.0)
     return result
 
 

@@ -25,6 +25,7 @@ from wkernels.layer_lanes import to_layers
 from wkernels.light_map import LightMap
 from wkernels.own_umbra import own_umbra_run
 from wkernels.receiver_lanes import LaneViews, ReceiverRun, locate_run
+from wkernels.sample_window import SAME
 from wkernels.shadow_buffer_update import (
     DISOCCLUDE,
     FULL_WIDTH_ERROR,
@@ -171,6 +172,7 @@ def update_shadow_buffer_lanes(
     n = history.n
     rises = history.blocker_rise
     of_mover = history.of_mover
+    spreads = history.spread
     on_mover = points.moves
     alone = Ints(0)  # pixels for the plain function
     alone_count = int(0)
@@ -181,7 +183,7 @@ def update_shadow_buffer_lanes(
     starting = int(0)
     weight = settings.weight
     # for ``age_sums``, not in an if: that would cost more than it saves
-    room = wp.where(settings.window > 0.0, wp.max(settings.window - weight, 0.0), NO_WINDOW)
+    room = wp.where(settings.light_window > 0.0, wp.max(settings.light_window - weight, 0.0), NO_WINDOW)
     new_share = weight / (room + weight)
     old_share = 1.0 - new_share
     for k in range(LANES):
@@ -221,12 +223,22 @@ def update_shadow_buffer_lanes(
     start_weight = settings.start_weight
     smooths = settings.smooths
     uncertain = Ints(0)
+    largest = settings.window.largest - 1.0
+    agreement = settings.window.agreement
+    least_window = settings.window.least
+    varies = wp.where(agreement > 0.0, SAME, 2.0)  # no variance is larger than 1/4
     threshold = wp.where(settings.smooths != 0, settings.error_threshold, 2.0)  # no error is larger than 1
     least_samples = wp.where(settings.smooths != 0, settings.least_samples, 0.0)
     for k in range(LANES):
         known = wp.where(counts_tests != 0, n[k], rho[k]) + first_blockers
         refined = wp.where(rises[k] > 0.0, (new_rise[k] + rises[k] * known) / (known + 1.0), new_rise[k])
         rises[k] = wp.where(new_rise[k] > 0.0, refined, rises[k])
+        before = wp.clamp(rho[k] / wp.where(n[k] > 0.0, n[k], 1.0), 0.0, 1.0)
+        agreed = wp.max(agreement * before * (1.0 - before) / wp.max(spreads[k], SAME), least_window)
+        longest = wp.where(spreads[k] > varies, wp.min(largest, agreed), largest)
+        keeps = wp.where(n[k] > longest, longest / wp.max(n[k], 1.0e-30), 1.0)
+        rho[k] = rho[k] * keeps
+        n[k] = n[k] * keeps
         scale = wp.where(n[k] + weight > limit, 0.5, 1.0)
         estimated = is_new[k] * estimates
         rho[k] = wp.where(estimated != 0, start_weight * tau[k], scale * rho[k] + weight * tau[k])

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 import warp as wp
 
+from wkernels.estimators import FLOAT32_LIMIT, UNLIMITED
 from wkernels.filtering import pull_footprint
 from wkernels.filtering_lanes import flat_half_axes
 from wkernels.frame import Session
@@ -25,6 +26,7 @@ from wkernels.receiver_lanes import lane_views
 from wkernels.shadow_buffer import BILINEAR, LINEAR, NEAREST, TEXEL_TYPES, storage_of
 from wkernels.shadow_buffer_lanes import update_shadow_buffer_lanes
 from wkernels.shadow_buffer_update import AT_ONCE, DISOCCLUDE, GRADUAL, UPDATE, UpdateSettings
+from wkernels.stillness import count_still_frames
 
 MOVERS = {"disocclude": DISOCCLUDE, "at_once": AT_ONCE, "gradual": GRADUAL, "ignore": DISOCCLUDE}
 """Treatment of moving casters' shadows by name; to ``ignore`` them no map is tagged."""
@@ -49,6 +51,11 @@ class StepParams(Protocol):
     ageing: str
     age_factor: float
     age_displacement: float
+    largest_n: float
+    agreement: float
+    least_window: float
+    stop_error: float
+    stop_samples: int
 
     @property
     def device_bias(self) -> Bias: ...
@@ -90,6 +97,8 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
     out.light_size = 2.0 * np.tan(0.5 * frame.light.size) if frame.light.is_directional else frame.light.size
     if p.turned_away == "dark":
         out.light_corners = pull_light_corners(frame)
+    out.window.largest = p.largest_n if p.largest_n < FLOAT32_LIMIT else UNLIMITED
+    out.window.agreement, out.window.least = p.agreement, p.least_window
     out.has_history = int(history.valid)
     out.has_movers = int(
         p.movers != "ignore"
@@ -103,8 +112,23 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
         out.motion, out.normal_motion, out.followed_samples = motion.points, motion.normals, p.mover_samples
     if history.previous_index is not None:
         moved = displacement(frame.light, frame.lights.at(history.previous_index))
-        out.window = ageing_window(moved, p.ageing, p.age_factor, p.age_displacement)
+        out.light_window = ageing_window(moved, p.ageing, p.age_factor, p.age_displacement)
     return ShadowStep(gbuffer, history, psi_depth, error, half_width), out
+
+
+def is_settled(frame: Session, step: ShadowStep, p: StepParams) -> bool:
+    """Whether the picture of the last frame may stand, as nothing has changed and it is as good as was asked for.
+
+    Every pixel holds ``stop_samples`` tests and a standard error of at most ``stop_error``. What was shown then is
+    still in the technique's buffers; the shadow buffer is handed on.
+    """
+    if p.stop_error <= 0.0:
+        return False
+    settled = count_still_frames(frame) >= p.stop_samples and float(step.error.numpy().max()) <= p.stop_error
+    if settled and frame.leave_out("light sample", "nothing moves and no standard error exceeds stop_error"):
+        wp.copy(step.history.current, step.history.previous)
+        return True
+    return False
 
 
 def add_sample(frame: Session, step: ShadowStep, settings: UpdateSettings, p: StepParams) -> None:

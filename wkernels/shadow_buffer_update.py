@@ -25,6 +25,7 @@ from wkernels.geometry import MOVES, RECEIVES
 from wkernels.light_map import Bias, LightMap, Receiver, locate, receiver_depth_at, stored_depth
 from wkernels.neighbourhood_filter import pixels_per_length
 from wkernels.own_umbra import is_own_umbra
+from wkernels.sample_window import SampleWindow, shorten, window_of
 from wkernels.shadow_buffer import (
     TEXEL_TYPES,
     ShadowRecord,
@@ -56,8 +57,9 @@ class UpdateSettings:
     bias: Bias
     storage: Storage
     light_corners: wp.array(dtype=wp.vec4)  # of its hull: what turns away from all of it is dark at once; none: tested
+    window: SampleWindow
     weight: float  # of this frame's light sample
-    window: float  # tests that count where the light moves, ``age_sums``; 0: all do
+    light_window: float  # tests that count where the light moves, ``age_sums``; 0: all do
     light_size: float  # L: scene units, or 2 tan(angle / 2)
     has_history: int
     has_movers: int
@@ -174,7 +176,7 @@ def update_pixel(
                 record.of_mover = 0
                 record.blocker_rise = 0.0
 
-        aged = age_sums(record.rho, record.n, test.tau, settings.weight, settings.window)
+        aged = age_sums(record.rho, record.n, test.tau, settings.weight, settings.light_window)
         record.rho = aged[0]
         record.n = aged[1]
 
@@ -214,6 +216,10 @@ def update_pixel(
             record.n = settings.start_weight
             record.rho = test.tau * settings.start_weight
         else:
+            longest = window_of(hidden_share(record.rho, record.n), record.spread, settings.window)
+            sums = shorten(record.rho, record.n, longest)
+            record.rho = sums[0]
+            record.n = sums[1]
             sums = add_test(record.rho, record.n, test.tau, settings.weight, settings.storage.limit)
             record.rho = sums[0]
             record.n = sums[1]
