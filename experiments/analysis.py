@@ -15,12 +15,12 @@ from matplotlib.figure import Figure
 
 from algorithms.projection import WarpShape, warps
 from experiments.config.analysis import Analysis, Curve
-from experiments.environment import describe_machine
+from experiments.environment import describe_identity, describe_machine
 from experiments.published import compare_published, write_published
 from experiments.report.style import INK, Look, log_axis, save, styled
+from experiments.result_tables import refusing
 from experiments.store import Store
 from experiments.tables import table_text, write_text
-from wkernels import __version__
 from wkernels.perspective_error import TiltedFrustum, partitioned_errors
 from wkernels.splits import pseudo_planes, shares_of_split, split_borders
 
@@ -94,7 +94,7 @@ def run_analysis(analysis: Analysis, out: str | Path) -> Path:
     """
     out = Path(out)
     environment = {
-        "identity": {"wkernels": __version__},
+        "identity": describe_identity(analysis.to_yaml(), None),
         "run": {"name": analysis.name, "kind": "analysis", "labels": [curve.label for curve in analysis.curves]},
         "environment": describe_machine("cpu", 1),
         "metrics": {},
@@ -106,11 +106,12 @@ def run_analysis(analysis: Analysis, out: str | Path) -> Path:
         for e in found
         for z, m_x, m_z in zip(e.z, e.m_x, e.m_z, strict=True)
     ]
-    write_text(out / "analysis.csv", table_text(COLUMNS, rows))
-    write_text(out / "factors.csv", table_text(FACTORS, [_factors(e) for e in found]))
-    published = {e.curve.label: e.curve.published for e in found}
-    write_published(out, compare_published(published, {e.curve.label: _quantities(e) for e in found}))
-    save(plot_errors(found), out / "plots" / "perspective_error", ["png", "svg"])
+    with refusing(out):
+        write_text(out / "analysis.csv", table_text(COLUMNS, rows))
+        write_text(out / "factors.csv", table_text(FACTORS, [_factors(e) for e in found]))
+        published = {e.curve.label: e.curve.published for e in found}
+        write_published(out, compare_published(published, {e.curve.label: _quantities(e) for e in found}))
+        save(plot_errors(found), out / "plots" / "perspective_error", ["png", "svg"])
     return out / "analysis.csv"
 
 

@@ -130,6 +130,7 @@ def _check_same_picture(stores: tuple[Store, Store], told: list[dict[str, Any]])
 def _notes(told: list[dict[str, Any]]) -> list[str]:
     out = []
     pairs = [("environment", key) for key in ("device_name", "threads", "git", "wkernels")]
+    pairs += [("identity", key) for key in ("code", "warp")]
     pairs += [("identity", key) for key in sorted({*told[0]["identity"], *told[1]["identity"]}) if "plugin" in key]
     for place, key in pairs:
         values = [one[place].get(key) for one in told]

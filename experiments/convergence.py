@@ -9,7 +9,6 @@ every row that is there.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +19,7 @@ import numpy as np
 from experiments import metrics
 from experiments.config.convergence import SAMPLES, Convergence
 from experiments.engine import Engine, FrameLike, SessionLike, WarpEngine
-from experiments.environment import describe_run
+from experiments.environment import describe_run, text_digest
 from experiments.images import error_view, shaded_view, standard_error_view, visibility_view, write_exr, write_png
 from experiments.lanes import check_result
 from experiments.runner import Progress, attempt_report, raise_failures
@@ -95,7 +94,8 @@ def run_convergence(
         engine = WarpEngine(convergence.experiment, device=device, threads=threads, skips=skips, plugins=plugins)
     text = convergence.to_yaml()
     environment = describe_run(convergence.experiment, engine, skips=skips)
-    environment["identity"]["config"] = hashlib.sha256(text.encode()).hexdigest()[:16]
+    environment["identity"]["config"] = text_digest(text)
+    environment["identity"].pop("processor")  # nothing is timed
     environment["run"] |= {
         "kind": "convergence",
         "camera": convergence.camera,

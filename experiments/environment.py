@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import importlib.metadata
 import inspect
 import os
 import platform
 import subprocess
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import algorithms
+import wkernels
+from algorithms.plugins import FAMILIES
 from experiments.metrics import METRICS
 from wkernels import __version__
 
@@ -29,18 +34,17 @@ def describe_run(experiment: Experiment, engine: Engine, *, skips: bool) -> dict
         ``identity``: what rows must share to be comparable (a resumed run checks it); ``run``: what was run, for
         reports; ``environment``: software and machine; ``metrics``: version of each metric's definition.
     """
-    used = sorted({run.name for run in experiment.runs})
     light = engine.scene.lights[experiment.light]
     return {
-        "identity": {
-            "config": text_digest(experiment.to_yaml()),
-            "scene": engine.scene.content_hash,
-            **{f"plugin {name}": file_digest(inspect.getfile(engine.plugins[name])) for name in used},
-            "device": engine.device,
-            "threads": engine.threads,
-            "skips": skips,
-            "wkernels": __version__,
-        },
+        "identity": describe_identity(
+            experiment.to_yaml(),
+            engine.scene.content_hash,
+            {run.name: engine.plugins[run.name] for run in experiment.runs},
+            device=engine.device,
+            threads=engine.threads,
+            skips=skips,
+            processor=device_name(engine.device),
+        ),
         "run": {
             "name": experiment.name,
             "scene": engine.scene.name,
@@ -61,6 +65,35 @@ def describe_run(experiment: Experiment, engine: Engine, *, skips: bool) -> dict
         "environment": describe_machine(engine.device, engine.threads),
         "metrics": {metric.name: metric.version for metric in METRICS.values()},
     }
+
+
+def describe_identity(
+    config: str, scene: str | None, plugins: Mapping[str, type] | None = None, **more: Any
+) -> dict[str, Any]:
+    """What rows must share to be comparable, for environment.json; a resumed run checks that nothing of it has changed.
+
+    Args:
+        config: Text of the resolved experiment.
+        scene: Digest of the scene's content; None where nothing is rendered.
+        plugins: The techniques that are used, by name.
+        more: Further items: device, threads, ...
+    """
+    files = {f"plugin {name}": file_digest(inspect.getfile(cls)) for name, cls in sorted((plugins or {}).items())}
+    versions = {"code": code_digest(), "wkernels": __version__, "warp": package_version("warp-lang")}
+    return {"config": text_digest(config), "scene": scene, **files, **more, **versions}
+
+
+@functools.cache
+def code_digest() -> str:
+    """Short SHA-256 of the code that techniques share: wkernels, and what of algorithms is no technique."""
+    digest = hashlib.sha256()
+    for package, left_out in ((wkernels, ()), (algorithms, FAMILIES)):
+        root = Path(package.__file__ or "").parent
+        for path in sorted(root.rglob("*.py")):
+            name = path.relative_to(root)
+            if name.parts[0] not in left_out:
+                digest.update(f"{root.name}/{name.as_posix()}".encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def describe_machine(device: str, threads: int) -> dict[str, Any]:

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from experiments.config.convergence import Estimates
-from experiments.environment import describe_machine
+from experiments.environment import describe_identity, describe_machine
+from experiments.result_tables import refusing
 from experiments.store import Store
 from experiments.tables import table_text, write_text
-from wkernels import __version__
 from wkernels.estimate_series import estimates_of
 
 COLUMNS = ("n", "tau", "psi", "variance", "standard_error")
@@ -44,13 +44,14 @@ def run_estimates(estimates: Estimates, out: str | Path) -> Path:
     """
     out = Path(out)
     environment = {
-        "identity": {"wkernels": __version__},
+        "identity": describe_identity(estimates.to_yaml(), None),
         "run": {"name": estimates.name, "kind": "convergence", "tests": len(estimates.tests)},
         "environment": describe_machine("cpu", 1),
         "metrics": {},
     }
     Store.open(out, estimates.to_yaml(), environment, resume=False)
-    write_text(out / "estimates.csv", table_text(COLUMNS, estimate_rows(estimates)))
+    with refusing(out):
+        write_text(out / "estimates.csv", table_text(COLUMNS, estimate_rows(estimates)))
     return out / "estimates.csv"
 
 

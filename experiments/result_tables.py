@@ -30,6 +30,15 @@ def cannot_write(out: Path, error: OSError) -> InputError:
     return InputError(f"cannot write results here ({why}: {Path(name).name.removeprefix('.part-')}).", file=out)
 
 
+@contextlib.contextmanager
+def refusing(out: Path) -> Iterator[None]:
+    """Turns a failure to write into the one message, where there is nothing that could be lost."""
+    try:
+        yield
+    except OSError as error:
+        raise cannot_write(out, error) from error
+
+
 class ResultTables:
     """The tables of one result folder.
 

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-import itertools
+import inspect
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from algorithms.technique import Technique
 from experiments.engine import check_device
-from experiments.environment import describe_machine
+from experiments.environment import describe_identity, describe_machine, file_digest, text_digest
 from experiments.report.stability import write_stability_report
+from experiments.result_tables import FAILURE_COLUMNS
+from experiments.runner import attempt_report, raise_failures
+from experiments.stability import cases, shapes, table
 from experiments.stability.cases import CASES
 from experiments.stability.heat_map import draw_heat_map
 from experiments.stability.table import COLUMNS, breaking_points, concerned, examine
 from experiments.store import Store
-from experiments.tables import Row, Table, read_table, table_text, write_text
-from wkernels import __version__
+from experiments.tables import Row
 from wkernels.launch import default_threads
 
 if TYPE_CHECKING:
@@ -52,52 +56,61 @@ def run_stability(
 
     Raises:
         InputError: The folder cannot be written, or holds something else; no such device.
+        TechniquesFailed: At the end, if something could not be written; techniques that fail are rows of the table.
     """
     check_device(device)
     out = Path(out)
+    techniques = {name: plugins[name] for name in stability.techniques}
+    text = stability.to_yaml()
     environment = {
-        "identity": {"wkernels": __version__, "device": device},
-        "run": {"name": stability.name, "kind": "stability", "labels": list(stability.techniques)},
+        "identity": describe_identity(text, _scenes_digest(), techniques, device=device, skips=skips),
+        "run": {
+            "name": stability.name,
+            "kind": "stability",
+            "labels": list(stability.techniques),
+            "expected": {name: _expected(name, techniques) for name in stability.cases},
+        },
         "environment": describe_machine(device, threads or default_threads()),
         "metrics": {},
     }
-    techniques = {name: plugins[name] for name in stability.techniques}
-    kept = _kept(out, stability, techniques) if resume else []
-    Store.open(out, stability.to_yaml(), environment, resume=False)
-    path = out / "stability.csv"
-    write_text(path, table_text(COLUMNS, kept))
-    done = {row["case"] for row in kept}
-    table = Table(path, COLUMNS)
-    try:
+    store = StabilityStore.open(out, text, environment, resume=resume)
+    done = {row["case"] for row in store.rows("stability")}
+    with store.writing():
         for i, case in enumerate(stability.cases):
             if progress:
                 progress(i, len(stability.cases), case)
             if case not in done:
                 for row in examine(techniques, [case], device=device, threads=threads, skips=skips):
-                    table.append([row])
-    finally:
-        table.close()
-    if progress:
-        progress(len(stability.cases), len(stability.cases), "done")
-    rows = read_table(path)
-    draw_heat_map(breaking_points(rows), stability.techniques, stability.cases, out / "plots" / "stability")
-    if rows:
-        write_stability_report(out)
-    return path
+                    store.append("stability", [row])
+        if progress:
+            progress(len(stability.cases), len(stability.cases), "done")
+        points = breaking_points(store.rows("stability"))
+        picture = out / "plots" / "stability"
+        attempt_report(store, lambda _: draw_heat_map(points, stability.techniques, stability.cases, picture))
+        if store.rows("stability"):
+            attempt_report(store, write_stability_report)
+    raise_failures(store)
+    return out / "stability.csv"
 
 
-def _kept(out: Path, stability: Stability, techniques: Mapping[str, type[Technique]]) -> list[dict[str, str]]:
-    """Rows of the cases that are complete, if the folder holds an earlier run of the same experiment."""
-    config = out / "config.yaml"
-    if not config.is_file() or config.read_text(encoding="utf-8") != stability.to_yaml():
-        return []
-    rows = read_table(out / "stability.csv")
-    kept: list[dict[str, str]] = []
-    for name, group in itertools.groupby(rows, key=lambda row: row["case"]):
-        own = list(group)
-        if len(own) == _expected(name, techniques):
-            kept += own
-    return kept
+class StabilityStore(Store):
+    """The folder of a run of ``kind: stability``; a case is complete with as many rows as it has pictures."""
+
+    tables: Mapping[str, tuple[str, ...]] = MappingProxyType({"stability": COLUMNS, "failures": FAILURE_COLUMNS})
+    main = "stability"
+    place = "case"
+
+    def recover(self) -> None:
+        rows = self.rows("stability")
+        count = Counter(row["case"] for row in rows)
+        expected = self.environment()["run"]["expected"]
+        self._write_rows("stability", [row for row in rows if count[row["case"]] == expected.get(row["case"])])
+        self._write_rows("failures", [])
+
+
+def _scenes_digest() -> str:
+    """The scenes are code."""
+    return text_digest("".join(file_digest(inspect.getfile(module)) for module in (cases, shapes, table)))
 
 
 def _expected(case: str, techniques: Mapping[str, type[Technique]]) -> int:

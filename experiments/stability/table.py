@@ -54,18 +54,27 @@ def examine(
         case = CASES[name]
         easy: dict[str, float | None] = {}
         for level in case.levels:
-            views: dict[str, Stage] = {}
+            views: dict[str, Stage | Verdict] = {}
             for technique in techniques.values():
                 if not concerned(technique, case):
                     continue
                 kind = light_kind_of(technique)
                 if kind not in views:
-                    views[kind] = Stage(case.build(level, kind), device, threads, skips)
-                first = level == case.levels[0]
-                verdict = views[kind].verdict(technique, None if first else easy.get(technique.name), case.judged)
+                    views[kind] = _staged(case, level, kind, device, threads, skips)
+                stage, first = views[kind], level == case.levels[0]
+                limit = None if first else easy.get(technique.name)
+                verdict = stage if isinstance(stage, Verdict) else stage.verdict(technique, limit, case.judged)
                 if first:
                     easy[technique.name] = verdict.rmse
                 yield _row(technique, case, level, verdict)
+
+
+def _staged(case: Case, level: Level, kind: str, device: str, threads: int | None, skips: bool) -> Stage | Verdict:
+    """A level's scene with its truths; the verdict over every technique where it has none."""
+    try:
+        return Stage(case.build(level, kind), device, threads, skips)
+    except Exception as error:
+        return Verdict(True, f"there is nothing to compare with: {type(error).__name__}: {error}", None)
 
 
 def _row(technique: type[Technique], case: Case, level: Level, verdict: Verdict) -> Row:
@@ -105,7 +114,7 @@ class Stage:
             result = self._render(technique(self._params(technique)), 1)
         except InputError as error:
             return Verdict(False, f"refused: {error.message}", None)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             return Verdict(True, f"{type(error).__name__}: {error}", None)
         return judge(result, self.truth, easy, judged)
 
