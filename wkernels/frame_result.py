@@ -9,13 +9,14 @@ import numpy as np
 import warp as wp
 
 from wkernels.gbuffer import GBuffer
-from wkernels.geometry import RECEIVES
+from wkernels.geometry import CASTS, RECEIVES
 from wkernels.light_views import perspective_aliasing
 
 if TYPE_CHECKING:
     from wkernels.frame import Session
 
 G_BUFFER, SHADING = "g-buffer", "shading"
+TURNED_AWAY = "comparisons of pixels with the light depth map", "their surface is turned away from the light"
 
 
 @dataclass
@@ -66,6 +67,13 @@ def read_back(
     lit[(flags & RECEIVES) == 0] = np.nan
     position = gbuffer.position_ws.numpy()[rows, cols] + frame.geometry.origin_ws
     position[~seen] = np.nan
+    if frame.read_map is not None and frame.skips:
+        way = np.asarray(frame.read_map.light_ws, np.float32)
+        to_light = way[:3] - gbuffer.position_ws.numpy()[rows, cols] * way[3]
+        turned = (flags & (RECEIVES | CASTS)) == (RECEIVES | CASTS)
+        turned &= np.einsum("hwi,hwi->hw", gbuffer.normal_ws.numpy()[rows, cols], to_light) <= 0.0
+        if turned.any():
+            frame.leave_out(*TURNED_AWAY, int(turned.sum()))
     error = None
     if frame.standard_error is not None:
         error = frame.standard_error.numpy()[rows, cols].copy()

@@ -85,7 +85,7 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
     out.has_history = int(history.valid)
     out.has_movers = int(
         p.movers != "ignore"
-        and (frame.geometry.moving or not frame.leave_out("tags of moving casters", "nothing moves"))
+        and (frame.geometry.casters_move or not frame.leave_out("tags of moving casters", "no caster moves"))
     )
     out.relative_epsilon, out.texel_steps = out.storage.rounding, HISTORY[p.history]
     out.half_widths = 0.5
@@ -94,6 +94,16 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
         motion = pull_mesh_motion(frame, history.previous_index)
         out.motion, out.normal_motion, out.followed_samples = motion.points, motion.normals, p.mover_samples
     return ShadowStep(gbuffer, history, psi_depth, error, half_width), out
+
+
+def count_unsmoothed(frame: Session, step: ShadowStep) -> None:
+    """Has the receivers counted that ask for no neighbourhood: their error is small, or their penumbra is."""
+
+    def count() -> int:
+        asks = np.abs(step.half_width.numpy()) >= 0.5
+        return int(((step.psi_depth.numpy()[..., 1] > 0.0) & ~asks).sum())
+
+    frame.count_later("neighbourhoods of pixels", "their error or penumbra is small enough", count)
 
 
 def add_sample(frame: Session, step: ShadowStep, settings: UpdateSettings, p: StepParams) -> None:

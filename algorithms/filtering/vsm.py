@@ -29,6 +29,7 @@ from pydantic import field_validator
 
 from algorithms.technique import MapParams, Technique, setting
 from wkernels.blur import gaussian_weights, separable_blur
+from wkernels.empty_maps import nothing_hides
 from wkernels.filtering import (
     LightFootprint,
     mean_blocker_depth,
@@ -217,6 +218,8 @@ class Vsm(Technique):
             return visibility
         params = self.params
         light_map = frame.light_map(params.resolution, cull=params.cull)
+        if nothing_hides(frame, gbuffer, light_map, visibility):
+            return visibility
         moments = self._moments(frame, light_map)
         common = [light_map, params.device_bias, moments.chebyshev]
         if params.width == "fixed":
@@ -231,7 +234,14 @@ class Vsm(Technique):
             return visibility
         tables = self._tables(frame, moments)
         footprint = pull_footprint(frame, light_map)
-        taps = pull_taps(frame, "poisson", params.blocker_taps)
+        count = params.blocker_taps
+        if (
+            count > 1
+            and not frame.light.has_area
+            and frame.leave_out("taps of the search", "the light has no area", count - 1)
+        ):
+            count = 1
+        taps = pull_taps(frame, "poisson", count)
         with frame.timed("penumbra lookup"):
             frame.launch(look_up_penumbra, visibility.shape, [gbuffer, *common, footprint, taps, tables], [visibility])
         return visibility
