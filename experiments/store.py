@@ -154,7 +154,7 @@ class Store:
             raise InputError(message, file=self.out / "environment.json")
 
     def _clear(self) -> None:
-        written = ("convergence", "estimates", "stability", "summary", "published", "prediction")
+        written = ("convergence", "estimates", "stability", "savings", "summary", "published", "prediction")
         names = [f"{name}.csv" for name in (*TABLES, *written)]
         names += ["report.html", "environment.json", "config.yaml"]
         for name in names:

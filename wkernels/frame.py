@@ -16,7 +16,7 @@ import warp as wp
 
 from wkernels import gbuffer as gb
 from wkernels.caster_tree import CasterTree, CasterTreeBuilder
-from wkernels.frame_result import G_BUFFER, SHADING, FrameResult, read_back
+from wkernels.frame_result import G_BUFFER, SHADING, FrameResult, read_back, tell_turned_away
 from wkernels.geometry import Bounds, Geometry
 from wkernels.history import History
 from wkernels.jitter import Jitter, jittered_view
@@ -149,10 +149,11 @@ class Session(LeavesOut):
             color = self.buffer("color", visibility.shape, wp.vec3)
             shade(gbuffer, self.geometry.mesh_diffuse, self.light, visibility, color, self.device, self.threads)
         spent = self._timer.stop()
-        self.count_left_out()
         for name in OPTIONAL:
             if name not in self._products.asked:
-                self.leave_out(name, UNASKED)
+                self.tell(name, UNASKED)
+        tell_turned_away(self, gbuffer)
+        self.count_left_out()
         return read_back(self, gbuffer, visibility, color, spent)
 
     def advance(self) -> None:

@@ -67,13 +67,6 @@ def read_back(
     lit[(flags & RECEIVES) == 0] = np.nan
     position = gbuffer.position_ws.numpy()[rows, cols] + frame.geometry.origin_ws
     position[~seen] = np.nan
-    if frame.read_map is not None and frame.skips:
-        way = np.asarray(frame.read_map.light_ws, np.float32)
-        to_light = way[:3] - gbuffer.position_ws.numpy()[rows, cols] * way[3]
-        turned = (flags & (RECEIVES | CASTS)) == (RECEIVES | CASTS)
-        turned &= np.einsum("hwi,hwi->hw", gbuffer.normal_ws.numpy()[rows, cols], to_light) <= 0.0
-        if turned.any():
-            frame.leave_out(*TURNED_AWAY, int(turned.sum()))
     error = None
     if frame.standard_error is not None:
         error = frame.standard_error.numpy()[rows, cols].copy()
@@ -96,3 +89,19 @@ def read_back(
         m_x_max=m_x,
         m_z_max=m_z,
     )
+
+
+def tell_turned_away(frame: Session, gbuffer: GBuffer) -> None:
+    """Has the receivers counted that are not compared with the frame's map, as they are dark by themselves."""
+    light_map = frame.read_map
+    if light_map is None:
+        return
+
+    def count() -> int:
+        light = np.asarray(light_map.light_ws, np.float32)
+        to_light = light[:3] - gbuffer.position_ws.numpy() * light[3]
+        both = RECEIVES | CASTS
+        turned = np.einsum("hwi,hwi->hw", gbuffer.normal_ws.numpy(), to_light) <= 0.0
+        return int((turned & ((gbuffer.flags.numpy() & both) == both)).sum())
+
+    frame.tell(*TURNED_AWAY, count)

@@ -14,11 +14,16 @@ class LeavesOut:
     Args:
         skips: Whether work that the scene cannot need may be left out at all.
         done_anyway: What is done nevertheless.
+
+    Attributes:
+        left_out: How often what was left out of the frame for which reason.
+        inherent: What of all that was told with no choice: the method itself does not do it.
     """
 
     def __init__(self, skips: bool, done_anyway: Collection[Omission] = ()) -> None:
         self.skips, self.done_anyway = skips, frozenset(done_anyway)
         self.left_out: dict[Omission, int] = {}
+        self.inherent: set[Omission] = set()
         self._to_count: list[tuple[Omission, Callable[[], int]]] = []
 
     def may_leave_out(self, what: str, reason: str) -> bool:
@@ -37,6 +42,16 @@ class LeavesOut:
         if self.may_leave_out(what, reason):
             self._to_count.append(((what, reason), count))
 
+    def tell(self, what: str, reason: str, count: Callable[[], int] = lambda: 1) -> None:
+        """Records, with skips on, what the method itself does not do here; counted when times are taken."""
+        if self.skips:
+            self.inherent.add((what, reason))
+            self._to_count.append(((what, reason), count))
+
+    def record(self, what: str, reason: str, count: int = 1) -> None:
+        """Notes that ``what`` was not done, whether skips are on or not: there was no other way to go."""
+        self.left_out[what, reason] = self.left_out.get((what, reason), 0) + count
+
     def forget_left_out(self) -> None:
         """Begins a new list."""
         self.left_out.clear()
@@ -48,7 +63,3 @@ class LeavesOut:
             if number := count():
                 self.record(what, reason, number)
         self._to_count.clear()
-
-    def record(self, what: str, reason: str, count: int = 1) -> None:
-        """Notes that ``what`` was not done, whether skips are on or not: there was no other way to go."""
-        self.left_out[what, reason] = self.left_out.get((what, reason), 0) + count

@@ -27,6 +27,8 @@ from wkernels.shadow_buffer_update import AT_ONCE, DISOCCLUDE, GRADUAL, UPDATE, 
 MOVERS = {"disocclude": DISOCCLUDE, "at_once": AT_ONCE, "gradual": GRADUAL, "ignore": DISOCCLUDE}
 """Treatment of moving casters' shadows by name; to ``ignore`` them no map is tagged."""
 
+UNTAGGED = "tags of moving casters", "no caster moves"
+UNSMOOTHED = "neighbourhoods of pixels", "their error or penumbra is small enough"
 HISTORY = {"bilinear": BILINEAR, "nearest": NEAREST, "linear": LINEAR}
 
 
@@ -83,10 +85,7 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
     out.bias, out.storage = p.device_bias, storage_of(p.buffer, p.cap)
     out.light_size = 2.0 * np.tan(0.5 * frame.light.size) if frame.light.is_directional else frame.light.size
     out.has_history = int(history.valid)
-    out.has_movers = int(
-        p.movers != "ignore"
-        and (frame.geometry.casters_move or not frame.leave_out("tags of moving casters", "no caster moves"))
-    )
+    out.has_movers = int(p.movers != "ignore" and (frame.geometry.casters_move or not frame.leave_out(*UNTAGGED)))
     out.relative_epsilon, out.texel_steps = out.storage.rounding, HISTORY[p.history]
     out.half_widths = 0.5
     out.movers, out.decrement = int(MOVERS[p.movers]), p.mover_decrement
@@ -103,7 +102,7 @@ def count_unsmoothed(frame: Session, step: ShadowStep) -> None:
         asks = np.abs(step.half_width.numpy()) >= 0.5
         return int(((step.psi_depth.numpy()[..., 1] > 0.0) & ~asks).sum())
 
-    frame.count_later("neighbourhoods of pixels", "their error or penumbra is small enough", count)
+    frame.tell(*UNSMOOTHED, count)
 
 
 def add_sample(frame: Session, step: ShadowStep, settings: UpdateSettings, p: StepParams) -> None:

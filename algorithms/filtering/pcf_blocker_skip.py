@@ -25,7 +25,7 @@ from algorithms.technique import Limit, MapParams, Technique, setting
 from wkernels.empty_maps import nothing_hides
 from wkernels.filtering import tap_set
 from wkernels.frame import Session as Frame
-from wkernels.searched_filter import filter_after_search, rim_taps, searched_filter
+from wkernels.searched_filter import SETTLED, filter_after_search, rim_taps, searched_filter
 
 
 class PcfBlockerSkip(Technique):
@@ -35,6 +35,7 @@ class PcfBlockerSkip(Technique):
     family = "filtering"
     paper = ("stingl2011", "fernando2005pcss")
     bias_sign = "none"
+    may_leave_out = (SETTLED,)
     limits = (
         Limit(equals="shadow_map", params={"radius": 0.0, "bilinear": False}),
         Limit(

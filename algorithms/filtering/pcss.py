@@ -47,6 +47,8 @@ from wkernels.light_map import Bias, LightMap
 from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.receivers import receiver_of_pixel
 
+TAPS_ALIKE = "taps of search and filter", "the light has no area"
+
 
 @wp.kernel
 def filter_penumbra(
@@ -117,6 +119,7 @@ class Pcss(Technique):
         "light_grows": "one map sees one side of a caster, and a light much wider than its distance shines past both"
     }
     bias_sign = "none"
+    may_leave_out = (TAPS_ALIKE,)
     limits = (Limit(equals="shadow_map", light_scale=0.0),)
 
     class Params(MapParams):
@@ -170,7 +173,7 @@ class Pcss(Technique):
         counts = [params.blocker_taps, params.filter_taps]
         # without an area all taps fall on one spot; means of bilinear comparisons are not the same when rounded
         more = 0 if frame.light.has_area or params.bilinear else sum(counts) - 2
-        if more and frame.leave_out("taps of search and filter", "the light has no area", more):
+        if more and frame.leave_out(*TAPS_ALIKE, more):
             counts = [1, 1]
         taps = [pull_taps(frame, params.kernel, count) for count in counts]
         with frame.timed("penumbra filter"):

@@ -57,6 +57,9 @@ from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.receivers import receiver_of_pixel
 from wkernels.summed_area import box_mean, summed_area_table
 
+TAPS_ALIKE = "taps of the search", "the light has no area"
+NO_BLUR = "blur of moments", "its kernel has one tap"
+
 
 @wp.kernel
 def look_up_blurred(
@@ -164,6 +167,7 @@ class Vsm(Technique):
         "light_place": "no texel falls on a receiver in whose plane the light lies"
     }
     bias_sign = "lighter"
+    may_leave_out = (TAPS_ALIKE, NO_BLUR)
 
     class Params(MapParams):
         """Filter and bound."""
@@ -234,12 +238,8 @@ class Vsm(Technique):
             return visibility
         tables = self._tables(frame, moments)
         footprint = pull_footprint(frame, light_map)
-        count = params.blocker_taps
-        if (
-            count > 1
-            and not frame.light.has_area
-            and frame.leave_out("taps of the search", "the light has no area", count - 1)
-        ):
+        count, hard = params.blocker_taps, not frame.light.has_area
+        if count > 1 and hard and frame.leave_out(*TAPS_ALIKE, count - 1):
             count = 1
         taps = pull_taps(frame, "poisson", count)
         with frame.timed("penumbra lookup"):
@@ -269,7 +269,7 @@ class Vsm(Technique):
         return moments
 
     def _blurred(self, frame: Frame, moments: Moments) -> wp.array:
-        if self.params.taps == 1 and frame.leave_out("blur of moments", "its kernel has one tap"):
+        if self.params.taps == 1 and frame.leave_out(*NO_BLUR):
             return moments.image
 
         def build(old: wp.array | None) -> wp.array:

@@ -32,6 +32,7 @@ from wkernels.gbuffer import GBuffer, is_back_lit
 from wkernels.geometry import RECEIVES
 from wkernels.light_map import to_light
 
+FLAT_NONE = "flattened casters", "no receiver is flat"
 ALIKE = "flattened casters of light samples", "the light has no area"
 UNSEEN = "flattened casters", "no pixel shows the plane"
 
@@ -95,6 +96,7 @@ class ProjectionShadows(Technique):
         "grazing": "the flattened casters reach to where float32 has no digits left as the light nears the plane",
     }
     bias_sign = "none"
+    may_leave_out = (ALIKE, FLAT_NONE, UNSEEN)
     limits = (
         Limit(equals="ray_cast_point_shadow", tolerance=1e-6, flips=0.01),
         Limit(equals="reference_multisample", params={"light_samples": 16}, other_params={"samples": 16}, flips=0.03),
@@ -150,7 +152,7 @@ class ProjectionShadows(Technique):
 
         planes = frame.product("receiver planes", "receiver planes", frame.geometry.version, build)[0]
         if not planes:
-            frame.leave_out("flattened casters", "no receiver is flat")
+            frame.tell(*FLAT_NONE)
         numbered = list(enumerate(planes))
         if len(numbered) > 1 and frame.may_leave_out(*UNSEEN):
             mesh = gbuffer.mesh.numpy()

@@ -38,6 +38,7 @@ class ReferenceMultisample(Technique):
     family = "reference"
     paper = ("heckbert1997", "schwaerzler2009", "scherzer2009tc")
     bias_sign = "none"
+    may_leave_out = (PROVEN, RAYS_ALIKE)
     limits = (Limit(equals="ray_cast_point_shadow", params={"samples": 4}, light_scale=0.0),)
 
     class Params(BaseParams):

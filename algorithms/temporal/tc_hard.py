@@ -48,6 +48,8 @@ from wkernels.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lane
 from wkernels.receiver_lanes import lane_views
 from wkernels.shadow_buffer import BILINEAR, NEAREST
 
+UNTAGGED = "tags of moving casters", "no caster moves"
+
 
 class TcHard(Technique):
     """One jittered map a frame, hard tests weighted by their confidence, a history per pixel."""
@@ -58,6 +60,7 @@ class TcHard(Technique):
     needs = Needs(history=True)
     hard = True
     bias_sign = "none"
+    may_leave_out = (UNTAGGED,)
     limits = (
         Limit(equals="shadow_map", params={"jitter": 0.0, "overscan": 0.0}, frames=8),
         # the first frame: nothing is known, no jitter yet
@@ -162,7 +165,7 @@ class TcHard(Technique):
         )
         tags = p.movers == "reset"
         if tags and not frame.geometry.casters_move:
-            tags = not frame.leave_out("tags of moving casters", "no caster moves")
+            tags = not frame.leave_out(*UNTAGGED)
         seed = 0 if frame.seed == 1 else frame.seed + 1
         jitter = frame_jitter(p.sample_set, frame.count, p.jitter, np.radians(p.rotation), seed)
         light_map = frame.light_map(p.resolution, cull=p.cull, tag_moving_casters=tags, jitter=jitter)

@@ -47,8 +47,10 @@ from algorithms.technique import Limit, Needs, Technique, setting
 from wkernels.filtering import check_tap_count, pull_taps
 from wkernels.frame import Session as Frame
 from wkernels.neighbourhood_filter import filter_image
-from wkernels.shadow_buffer_step import add_sample, begin_step, count_unsmoothed
+from wkernels.shadow_buffer_step import UNSMOOTHED, UNTAGGED, add_sample, begin_step, count_unsmoothed
 from wkernels.shadow_buffer_update import START_PCSS, START_SAMPLE
+
+TAPS_ALIKE = "taps of starts", "the light has no area"
 
 
 class TcSoftPaper(Technique):
@@ -62,6 +64,7 @@ class TcSoftPaper(Technique):
         "light_place": "no texel falls on a receiver in whose plane the light lies"
     }
     bias_sign = "none"
+    may_leave_out = (UNTAGGED, UNSMOOTHED, TAPS_ALIKE)
     limits = (
         Limit(
             equals="multi_shadow_map",
@@ -140,7 +143,7 @@ class TcSoftPaper(Technique):
         settings.start, settings.start_weight = int(START_PCSS if p.start == "pcss" else START_SAMPLE), p.start_weight
         counts = [p.blocker_taps, p.filter_taps]
         more = 0 if frame.light.has_area or p.start == "sample" else sum(counts) - 2
-        if more and frame.leave_out("taps of starts", "the light has no area", more):
+        if more and frame.leave_out(*TAPS_ALIKE, more):
             counts = [1, 1]
         settings.blocker_taps, settings.filter_taps = (pull_taps(frame, "box", n) for n in counts)
         settings.first_blockers = float(p.blocker_taps) if p.start == "pcss" else 0.0

@@ -49,7 +49,7 @@ from wkernels.lanes import flat_floats, flat_pairs, runs_per_row, uses_lanes
 from wkernels.neighbourhood_blend import BLEND, BlendSettings, blend_neighbourhood_lanes
 from wkernels.neighbourhood_filter import pull_opposite_taps
 from wkernels.shadow_buffer import TEXEL_TYPES
-from wkernels.shadow_buffer_step import ShadowStep, add_sample, begin_step, count_unsmoothed
+from wkernels.shadow_buffer_step import UNSMOOTHED, UNTAGGED, ShadowStep, add_sample, begin_step, count_unsmoothed
 from wkernels.shadow_buffer_update import START_SAMPLE, START_SEARCH
 
 POINTLESS = "blocker searches and neighbourhoods", "the light has no area"
@@ -66,6 +66,7 @@ class TcSoftThesis(Technique):
         "light_place": "no texel falls on a receiver in whose plane the light lies"
     }
     bias_sign = "none"
+    may_leave_out = (UNTAGGED, UNSMOOTHED, POINTLESS)
     limits = (Limit(equals="multi_shadow_map", params={"filter": False}, other_params={"samples": 16}, frames=16),)
 
     class Params(ShadowBufferParams):

@@ -49,7 +49,12 @@ def run_experiment(
 ) -> None:
     """Runs an experiment, which writes its report, and says where that is."""
     options = {"device": device, "threads": threads, "resume": resume, "skips": skips}
-    kinds = {"analysis": _run_analysis, "convergence": _run_convergence, "stability": _run_stability}
+    kinds = {
+        "analysis": _run_analysis,
+        "convergence": _run_convergence,
+        "savings": _run_savings,
+        "stability": _run_stability,
+    }
     run = kinds.get(kind_of(config, overrides) or "", _run_walkthrough)
     run(_Request(config, out, overrides, plugin_files, options))
 
@@ -107,6 +112,19 @@ def _run_stability(request: _Request) -> None:
     print(f"{summary_text(read_table(table))}\nTable: {table}\nHeat map: {folder / 'plots' / 'stability.png'}")
 
 
+def _run_savings(request: _Request) -> None:
+    from experiments.config.savings import load_savings
+    from experiments.savings import run_savings, savings_text
+    from experiments.tables import read_table
+
+    plugins = load_all(request.plugin_files)
+    savings = load_savings(request.config, request.overrides, plugins)
+    folder = request.folder(savings.name)
+    with _interruptible(folder), progress_display() as progress:
+        table = run_savings(savings, folder, plugins, progress=progress, **request.options)
+    print(f"{savings_text(read_table(table))}\nTable: {table}")
+
+
 @contextmanager
 def _interruptible(folder: Path) -> Iterator[None]:
     try:
@@ -147,6 +165,11 @@ def explain_experiment(config: Path, *, overrides: Sequence[str], plugin_files: 
         from experiments.stability.run import explain_stability
 
         print(explain_stability(load_stability(config, overrides, plugins), plugins))
+    elif kind == "savings":
+        from experiments.config.savings import load_savings
+        from experiments.savings import explain_savings
+
+        print(explain_savings(load_savings(config, overrides, plugins), plugins))
     elif kind == "convergence":
         from experiments.config.convergence import Estimates, load_convergence
         from experiments.convergence import explain_convergence
