@@ -5,6 +5,7 @@ The interface is small so that the runner's own rules (order, timing, resuming, 
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -198,3 +199,13 @@ def check_device(device: str) -> None:
         raise InputError(f"there is no device '{device}'." + nearest(device, known), key="--device")
     if device == "cuda" and not wp.is_cuda_available():
         raise InputError("there is no CUDA device on this machine.", key="--device")
+
+
+def kernels_of(technique: type) -> int:
+    """How many kernels stand in a technique's own file."""
+    import warp as wp
+
+    return sum(
+        isinstance(held, wp.Kernel) and held.module.name == technique.__module__
+        for held in vars(sys.modules[technique.__module__]).values()
+    )
