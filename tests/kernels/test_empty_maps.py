@@ -45,7 +45,7 @@ def test_what_may_not_be_seen_is_not_drawn(kind: str, device: str) -> None:
             unseen += 1
             assert np.isinf(depth).all()
         drawn += np.isfinite(depth).any()
-    assert unseen > 10 and drawn > 10
+    assert unseen >= 10 and drawn >= 10
 
 
 def test_boxes_across_a_border_may_be_seen(device: str) -> None:
@@ -79,7 +79,7 @@ def test_light_front_against_numpy(device: str) -> None:
     expected = np.where(((gbuffer.flags.numpy() & both) == both) & (facing <= 0.0), 0.0, 1.0)
     clear = np.abs(facing) > 1e-4  # elsewhere rounding decides
     np.testing.assert_array_equal(out.numpy()[clear], expected[clear])
-    assert 0.1 < expected.mean() < 0.9
+    assert 0.05 < 1.0 - expected.mean() < 0.5
 
 
 def test_an_empty_map_is_neither_drawn_nor_compared_with(device: str) -> None:
