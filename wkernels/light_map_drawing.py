@@ -111,7 +111,8 @@ def draw_light_map(
     out.light_ws, out.near = wp.vec4(*light_ws), max(views[0].near, _clamps(views)[0])
     _choose_layers(out, views, device)
     if not draws:
-        out.depth.fill_(float("inf"))
+        for image in layer_images(out.depth, layout):
+            image.fill_(float("inf"))
         return out, 0
     device_views = [view.to_device() for view in views]
     images = layer_images(out.depth, layout)

@@ -10,6 +10,7 @@ import warp as wp
 from wkernels.empty_maps import UNCOMPARED, UNDRAWN, light_front, may_see, nothing_hides
 from wkernels.frame import Session
 from wkernels.geometry import CASTS, RECEIVES, Bounds, Geometry
+from wkernels.light_map import depths_on_host
 from wkernels.light_views import scene_views
 from wkernels.scene import Scene
 
@@ -40,7 +41,7 @@ def test_what_may_not_be_seen_is_not_drawn(kind: str, device: str) -> None:
         casters = session.geometry.bounds(casters=True)
         views = scene_views(session.light.centre, receivers, casters, 32)
         session.projection = lambda *_, views=views: views
-        depth = session.light_map(32).depth.numpy()
+        depth = depths_on_host(session.light_map(32))
         if not may_see(views, casters):
             unseen += 1
             assert np.isinf(depth).all()
@@ -96,12 +97,12 @@ def test_an_empty_map_is_neither_drawn_nor_compared_with(device: str) -> None:
         gbuffer, visibility = session.gbuffer(), session.visibility_buffer(session.gbuffer())
         light_map = session.light_map(16)
         assert session.map_is_empty(light_map) == (anyway != (UNDRAWN,))
-        assert np.isinf(light_map.depth.numpy()).all()
+        assert np.isinf(depths_on_host(light_map)).all()
         assert nothing_hides(session, gbuffer, light_map, visibility) == (not anyway)
         assert ((UNDRAWN in session.left_out), (UNCOMPARED in session.left_out)) == (anyway != (UNDRAWN,), not anyway)
     near = Session(Geometry(scene_with_box((0.0, 2.0, 0.0)), device), width=16, height=12, device=device)
     light_map = near.light_map(16)
-    assert not near.map_is_empty(light_map) and np.isfinite(light_map.depth.numpy()).any()
+    assert not near.map_is_empty(light_map) and np.isfinite(depths_on_host(light_map)).any()
 
 
 def test_a_caster_that_comes_into_view_is_drawn(device: str) -> None:
@@ -119,6 +120,6 @@ def test_a_caster_that_comes_into_view_is_drawn(device: str) -> None:
     for frame in (0, 1, 2, 1):
         session.begin(frame)
         light_map = session.light_map(16)
-        seen.append((session.map_is_empty(light_map), bool(np.isfinite(light_map.depth.numpy()).any())))
+        seen.append((session.map_is_empty(light_map), bool(np.isfinite(depths_on_host(light_map)).any())))
         session.advance()
     assert seen == [(True, False), (False, True), (True, False), (False, True)]
