@@ -133,10 +133,30 @@ def test_files(tmp_path: Path) -> None:
     assert savings.walk(savings.experiments[0]) == (0, 1, 1)
     everything = load(tmp_path, FILE.replace("techniques:", "# techniques:"))
     assert [run.name for run in everything.experiments[0].runs] == list(PLUGINS)
-    bumpy = load(
-        tmp_path, FILE.replace("a6_empty", "rocks").replace("[pcf_blocker", "[projection_shadows, pcf_blocker")
+    able = load_point(tmp_path, "[shadow_map, pcss]")
+    assert [run.label for run in able.experiments[0].runs] == ["shadow_map"]
+    assert "area" in able.unmet["point", "pcss"]
+
+
+def load_point(folder: Path, techniques: str) -> Savings:
+    """With a scene whose light has no area."""
+    text = (SCENES / "a6_empty.yaml").read_text(encoding="utf-8")
+    head, _, tail = text.partition("  - {kind: rectangle")
+    tail = tail.partition("\n")[2]
+    (folder / "point.yaml").write_text(f"{head}  - {{kind: point, position: [0, 10, 0]}}\n{tail}", encoding="utf-8")
+    head, _, tail = FILE.partition("techniques:")
+    tail = tail.partition("\n")[2]
+    return load(
+        folder,
+        f"{head}techniques: {techniques}\n{tail}".replace("{scenes}/a6_empty", "point").replace(
+            "{scenes}/moving_blocker.yaml, ", ""
+        ),
     )
-    assert "planar" in bumpy.unmet["rocks", "projection_shadows"]
+
+
+def test_a_scene_without_techniques_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="none of the techniques"):
+        load_point(tmp_path, "[pcss]")
 
 
 @pytest.mark.parametrize(
@@ -145,15 +165,11 @@ def test_files(tmp_path: Path) -> None:
         (("a6_empty", "no_such"), "no scene file"),
         (("multi_shadow_map", "no_such"), "no technique 'no_such'"),
         (("repeats: 1", "repeats: 0"), "repeats"),
-        (("a6_empty.yaml]", "rocks.yaml]\ntechniques: [projection_shadows]\n#"), "none of the techniques"),
     ],
 )
 def test_wrong_files_are_refused(change: tuple[str, str], message: str, tmp_path: Path) -> None:
-    text = FILE.replace(*change)
-    if message == "none of the techniques":
-        text = text.replace("techniques: [pcf", "# techniques: [pcf")
     with pytest.raises(InputError, match=message):
-        load(tmp_path, text)
+        load(tmp_path, FILE.replace(*change))
 
 
 def test_without_skips_there_is_nothing_to_measure(tmp_path: Path) -> None:
