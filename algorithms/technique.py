@@ -11,6 +11,7 @@ import warp as wp
 from pydantic import BaseModel, ConfigDict, Field
 
 from wkernels.frame import Session as Frame
+from wkernels.left_out import Omission
 from wkernels.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL, BIAS_SLOPE, Bias
 from wkernels.raster import CULL_FRONT, CULL_NONE
 
@@ -123,6 +124,8 @@ class Technique(ABC):
         bias_sign: Sign of the mean error by the method's nature: ``darker``, ``lighter`` or ``none``.
         limits: What it must equal in the limit; tested.
         expected_failures: Conformance checks that the published method cannot pass, each with its reason.
+        may_leave_out: Pairs (what, reason) that the technique itself leaves out where they are not needed, besides what
+            every session does; ``explain`` tells them.
         stability_limits: Stiff cases (``experiments.stability``) in which the published method breaks by nature, each
             with its reason.
     """
@@ -135,6 +138,7 @@ class Technique(ABC):
     bias_sign: ClassVar[Literal["darker", "lighter", "none"]]
     limits: ClassVar[tuple[Limit, ...]] = ()
     expected_failures: ClassVar[dict[str, str]] = {}
+    may_leave_out: ClassVar[tuple[Omission, ...]] = ()
     stability_limits: ClassVar[dict[str, str]] = {}
     Params: ClassVar[type[Params]] = Params
 

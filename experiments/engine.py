@@ -5,7 +5,8 @@ The interface is small so that the runner's own rules (order, timing, resuming, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import sys
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from experiments.config.schema import Experiment
     from experiments.config.techniques import TechniqueRun
     from experiments.reference import ReferenceRenderer
+    from wkernels.frame import Session
     from wkernels.sampling_rate import MapUse
     from wkernels.scene import Scene
 
@@ -126,8 +128,16 @@ class WarpEngine:
         self.geometry = Geometry(self.scene, device, self.threads)
         self._reference: ReferenceRenderer | None = None
 
-    def open(self, run: TechniqueRun) -> tuple[SessionLike, Any]:
-        """A new session and the technique that it will render."""
+    def open(
+        self, run: TechniqueRun, *, skips: bool | None = None, done_anyway: Collection[tuple[str, str]] = ()
+    ) -> tuple[Session, Any]:
+        """A new session and the technique that it will render.
+
+        Args:
+            run: The technique.
+            skips: Whether work may be left out; the engine's own choice if None.
+            done_anyway: Pairs (what, reason) that are done nevertheless.
+        """
         from wkernels.frame import Session
 
         cls: Any = self.plugins[run.name]
@@ -140,7 +150,8 @@ class WarpEngine:
             threads=self.threads,
             seed=self.experiment.seed,
             projection=self._projections[run.label],
-            skips=self.skips,
+            skips=self.skips if skips is None else skips,
+            done_anyway=done_anyway,
         )
         return session, cls(cls.Params(**run.params))
 
@@ -189,3 +200,13 @@ def check_device(device: str) -> None:
         raise InputError(f"there is no device '{device}'." + nearest(device, known), key="--device")
     if device == "cuda" and not wp.is_cuda_available():
         raise InputError("there is no CUDA device on this machine.", key="--device")
+
+
+def kernels_of(technique: type) -> int:
+    """How many kernels stand in a technique's own file."""
+    import warp as wp
+
+    return sum(
+        isinstance(held, wp.Kernel) and held.module.name == technique.__module__
+        for held in vars(sys.modules[technique.__module__]).values()
+    )

@@ -7,21 +7,14 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from algorithms.composition import DEFAULTS as PLAINEST
-from algorithms.composition import compose
 from experiments.config.needs import unmet_need
+from experiments.foreseen import light_moves, skip_lines
 from experiments.metrics import MAP_METRICS, METRICS
-from wkernels.geometry import Bounds
-from wkernels.views import eye_view
 
 if TYPE_CHECKING:
     from experiments.config.schema import Experiment
-    from experiments.config.techniques import TechniqueRun
-    from wkernels.scene import Mesh, Scene
-
-FRAMES_LOOKED_AT = 30  # of a walkthrough, evenly spaced, for what depends on where the eye is
+    from wkernels.scene import Scene
 
 
 def explain(experiment: Experiment, plugins: Mapping[str, type] | None = None) -> str:
@@ -41,7 +34,7 @@ def explain(experiment: Experiment, plugins: Mapping[str, type] | None = None) -
         ("What will run", run_lines(experiment, plugins)),
         ("Amount of work", _work_lines(experiment, plugins)),
         *([("Views", _view_lines(experiment))] if experiment.views else []),
-        ("Left out", _left_out_lines(experiment, scene, plugins)),
+        ("Left out", left_out_lines(experiment, scene, plugins)),
     ]
     parts = [f"Experiment {experiment.name} (walkthrough)"]
     parts += [f"\n{title}\n" + "\n".join(f"  {line}" for line in lines) for title, lines in sections]
@@ -59,7 +52,7 @@ def scene_lines(experiment: Experiment, scene: Scene) -> list[str]:
         extent = f"{math.degrees(light.size):.3g} degrees wide"
     else:
         extent = f"size {light.size:.4g} scene units"
-    if _light_moves(experiment, scene):
+    if light_moves(experiment, scene):
         extent += ", moves"
     return [
         f"{scene.name}: {len(scene.meshes)} meshes, {triangles:,} triangles, {len(casters)} meshes cast, "
@@ -131,25 +124,10 @@ def _view_lines(experiment: Experiment) -> list[str]:
     ]
 
 
-def _left_out_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, type]) -> list[str]:
+def left_out_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, type]) -> list[str]:
     """Every line is (what: why); counts come with the run, in left_out.csv."""
-    lines = []
-    casters = [mesh for mesh in scene.meshes if mesh.casts]
+    lines = skip_lines(experiment, scene, plugins)
     light = scene.lights[experiment.light]
-    if not casters:
-        lines.append("depth maps, blocker searches and rays: no mesh casts, everything is lit")
-    elif not any(m.moving for m in casters) and len(experiment.frames) > 1 and not _light_moves(experiment, scene):
-        follows = not _camera_rests(experiment, scene) and any(_follows_eye(run) for run in experiment.runs)
-        maps = "depth maps that do not follow the eye" if follows else "depth maps"
-        lines.append(
-            f"building {maps} and ray structures anew on later frames: no caster moves and neither does the light"
-        )
-    if (
-        len(experiment.frames) > 1
-        and _camera_rests(experiment, scene)
-        and not any(mesh.moving for mesh in scene.meshes)
-    ):
-        lines.append("drawing the G-buffer again on later frames: neither the camera nor a mesh moves")
     if not any(mesh.receives for mesh in scene.meshes):
         lines.append("all errors: no mesh receives shadows")
     if experiment.reference is None:
@@ -164,7 +142,6 @@ def _left_out_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, 
         for name in ("flip", "flicker")
         if name not in experiment.metrics and (experiment.reference or not _needs_reference(name))
     ]
-    lines += _fallback_lines(experiment, scene)
     if set(MAP_METRICS).isdisjoint(experiment.metrics):
         lines.append("sampling rates per pixel and wasted map area: not among the experiment's metrics (sampling)")
     used = {run.name for run in experiment.runs}
@@ -172,40 +149,6 @@ def _left_out_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, 
         if name not in used and (why := unmet_need(cls, scene, light)):
             lines.append(f"technique {name}, which could not run here: {why}")
     return lines or ["nothing that is known before rendering"]
-
-
-def _follows_eye(run: TechniqueRun) -> bool:
-    return hasattr(compose(run.projection), "near")
-
-
-def _fallback_lines(experiment: Experiment, scene: Scene) -> list[str]:
-    """What the projections cannot do, or need not, on some of the frames: from boxes, with the camera's near plane."""
-    receivers, casters = Bounds(), Bounds()
-    for mesh in scene.meshes:
-        for bounds, takes_part in ((receivers, mesh.receives), (casters, mesh.casts)):
-            if takes_part:
-                bounds.add(_corners(mesh, experiment.frames[0]))
-    frames = experiment.frames[:: -(-len(experiment.frames) // FRAMES_LOOKED_AT)]
-    lines: list[str] = []
-    for run in experiment.runs:
-        views: Any = compose(run.projection) if _follows_eye(run) and not receivers.empty else None
-        counts: dict[tuple[str, str], int] = {}
-        for frame in frames if views is not None else ():
-            eye = eye_view(scene.camera(frame), experiment.image.width, experiment.image.height, np.zeros(3))
-            views(scene.light(experiment.light, frame).centre, receivers, casters, 64, eye)
-            for told in set(views.left_out):
-                counts[told] = counts.get(told, 0) + 1
-        lines += [
-            f"{run.label}: {what} on {count} of {len(frames)} frame{_s(len(frames))} looked at: {why}"
-            for (what, why), count in counts.items()
-        ]
-    return lines
-
-
-def _corners(mesh: Mesh, frame: int) -> np.ndarray:
-    pose = mesh.object_to_ws(frame)
-    points = np.asarray(mesh.vertices, float) @ pose[:3, :3].T + pose[:3, 3]
-    return points[np.isfinite(points).all(axis=1)]
 
 
 def _samples_of(experiment: Experiment) -> str:
@@ -217,24 +160,6 @@ def _samples_of(experiment: Experiment) -> str:
 
 def _needs_reference(name: str) -> bool:
     return name not in ("standard_error", "flicker", "flicker_edges", *MAP_METRICS)
-
-
-def _camera_rests(experiment: Experiment, scene: Scene) -> bool:
-    first = scene.camera(experiment.frames[0])
-    poses = (scene.camera(frame) for frame in experiment.frames)
-    return all(
-        np.array_equal(np.concatenate([p.eye, p.target, p.up]), np.concatenate([first.eye, first.target, first.up]))
-        for p in poses
-    )
-
-
-def _light_moves(experiment: Experiment, scene: Scene) -> bool:
-    """Between any two of the frames; otherwise its motion is as good as none."""
-    motion = scene.lights[experiment.light].motion
-    if motion is None:
-        return False
-    first = motion(experiment.frames[0])
-    return not all(np.array_equal(first, motion(frame)) for frame in experiment.frames)
 
 
 def _s(count: int) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 
 from experiments import metrics
 from experiments.carry_over import carry_over, disoccluded
-from experiments.engine import Engine, FrameLike, WarpEngine
+from experiments.engine import Engine, FrameLike, WarpEngine, kernels_of
 from experiments.environment import describe_run
 from experiments.images import error_view, shaded_view, visibility_view, write_exr, write_png
 from experiments.lanes import Lane, Timing, check_result, pass_medians, timing_columns
@@ -25,6 +25,8 @@ from wkernels.errors import InputError
 
 if TYPE_CHECKING:
     from experiments.config.schema import Experiment
+
+UNUSED = "no label uses the technique, and nothing is compiled that is not launched"
 
 
 class Progress(Protocol):
@@ -186,6 +188,7 @@ class _Walkthrough:
                 self.tell(self.done, self.total, f"frame {frame}, {lane.label} again, for the frames after it")
                 self._attempt(lane, frame)
                 self._commit(lane, frame)
+        self._store_uncompiled()
 
     def _warm_up(self, lane: Lane) -> None:
         """Renders the first frame (with history: the second too, whose kernels differ) and forgets it."""
@@ -299,6 +302,17 @@ class _Walkthrough:
         )
         lane.todo.discard(frame)
         self.done += 1
+
+    def _store_uncompiled(self) -> None:
+        """Rows of left_out.csv for the kernels of techniques that no label uses; of no label, at the last frame."""
+        used = {lane.run.name for lane in self.lanes}
+        common = {"label": "", "frame": self.experiment.frames[-1], "reason": UNUSED}
+        rows = [
+            common | {"what": f"kernels of {name}", "count": n}
+            for name, cls in self.engine.plugins.items()
+            if name not in used and (n := kernels_of(cls))
+        ]
+        self.store.append("left_out", rows)
 
     def _previous(self, lane: Lane, result: FrameLike, metric: str) -> np.ndarray | None:
         if lane.before is None or metric not in self.experiment.metrics:

@@ -162,7 +162,7 @@ class Store(ResultTables):
 
     def _clear(self) -> None:
         """Deletes what an earlier run wrote but environment.json, so that after a kill the rest is known to be ours."""
-        written = ("convergence", "estimates", "stability", "summary", "published", "prediction")
+        written = ("convergence", "estimates", "stability", "savings", "summary", "published", "prediction")
         for name in ["failures", *TABLES, *written]:  # rows first: they say that images are there
             (self.out / f"{name}.csv").unlink(missing_ok=True)
         for folder in ("images", "plots", "failures"):

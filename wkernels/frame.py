@@ -7,9 +7,8 @@ one of its inputs (geometry, camera, light sample) changes. What nobody asks for
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Collection, Hashable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,20 +16,22 @@ import warp as wp
 
 from wkernels import gbuffer as gb
 from wkernels.caster_tree import CasterTree, CasterTreeBuilder
-from wkernels.frame_result import G_BUFFER, SHADING, FrameResult, check_image, read_back
+from wkernels.frame_result import G_BUFFER, SHADING, FrameResult, check_image, read_back, tell_turned_away
 from wkernels.geometry import Bounds, Geometry
 from wkernels.history import History
 from wkernels.jitter import Jitter, jittered_view
 from wkernels.launch import launch, wake_workers
+from wkernels.left_out import LeavesOut, Omission
 from wkernels.light_map import LightMap
 from wkernels.light_motion import FrameLights
+from wkernels.light_proofs import LightHull, light_hull
 from wkernels.light_samples import LightSamples
 from wkernels.light_views import fit_scene
 from wkernels.lights import Light
 from wkernels.map_shelf import MapShelf
 from wkernels.near_plane import NearPlane
+from wkernels.products import OPTIONAL, UNASKED, Products
 from wkernels.raster import CULL_NONE, Rasteriser
-from wkernels.rays import LightHull
 from wkernels.sampling import light_set
 from wkernels.scene import Camera
 from wkernels.shading import shade
@@ -53,14 +54,7 @@ class Renders(Protocol):
         """Visibility, float32, of the frame's size or of an overscanned G-buffer's."""
 
 
-@dataclass
-class _Product:
-    value: Any
-    stamp: Hashable
-    visit: int
-
-
-class Session:
+class Session(LeavesOut):
     """Products, history and timers of one technique label; the geometry is shared between labels.
 
     Args:
@@ -72,6 +66,7 @@ class Session:
         seed: Shift of all sample sets; 1 is the plain, unshifted set.
         projection: Where light depth maps look; ``scene_views`` unless given.
         skips: Whether work that the scene cannot need may be left out.
+        done_anyway: Pairs (what, reason) of it that are done nevertheless.
         index: Frame to begin with; the geometry's, where others are using it.
     """
 
@@ -87,11 +82,13 @@ class Session:
         seed: int = 1,
         projection: LightViews | None = None,
         skips: bool = True,
+        done_anyway: Collection[Omission] = (),
         index: int = 0,
     ) -> None:
+        super().__init__(skips, done_anyway)
         self.geometry = geometry
         self.width, self.height = width, height
-        self.device, self.threads, self.seed, self.skips = device, threads, seed, skips
+        self.device, self.threads, self.seed = device, threads, seed
         self.lights = FrameLights(geometry.scene.lights, light_index, geometry.origin_ws)
         self.projection: LightViews = projection or fit_scene
         self.index = index  # frame index in the scene's path
@@ -101,17 +98,16 @@ class Session:
         self._rasteriser = Rasteriser(device, threads)
         self._maps = MapShelf(geometry, self._rasteriser)
         self._timer = PassTimer(device)
-        self._products: dict[Hashable, _Product] = {}
+        self._products = Products(self.timed, self.leave_out)
         self._buffers: dict[Hashable, wp.array] = {}
         self._histories: dict[str, History] = {}
         self._previous_camera: Any = None
         self._previous_index: int | None = None
-        self.left_out: dict[tuple[str, str], int] = {}
         self.light_views: tuple[list[HostView], np.ndarray] | None = None
         self.read_map: LightMap | None = None  # the map with these views
         self._gbuffers: dict[tuple[int, int], gb.GBuffer] = {}
-        self._visit = 0
         self._camera: Any = None
+        self._eyes: dict[tuple[int, int], HostView] = {}
         self.begin(index)
 
     # ---- frame by frame
@@ -120,23 +116,23 @@ class Session:
     def begin(self, frame_index: int) -> None:
         """Moves camera, geometry and lights to a frame. Again with the same index it forgets what it built for it."""
         if frame_index == self.index:
-            for product in self._products.values():
-                if product.visit == self._visit:
-                    product.stamp = None  # memory stays, content does not
+            self._products.expire()
         else:
-            self._visit += 1
+            self._products.visit += 1
         self.index = frame_index
         self.geometry.set_frame(frame_index)
         self.lights.begin(frame_index)
-        self._camera = self.geometry.scene.camera(frame_index)
+        self.look(self.geometry.scene.camera(frame_index))
 
     def look(self, camera: Camera) -> None:
         """Puts another camera in the place of the path's, until ``begin`` is called again."""
         self._camera = camera
+        self._eyes.clear()
 
     def render(self, technique: Renders) -> FrameResult:
         """Runs one technique on the current frame and reads its results back (reading back is not timed)."""
-        self.left_out.clear()
+        self.forget_left_out()
+        self._products.asked.clear()
         self.light_views = self.read_map = None
         self._gbuffers.clear()
         self.standard_error = None
@@ -153,6 +149,11 @@ class Session:
             color = self.buffer("color", visibility.shape, wp.vec3)
             shade(gbuffer, self.geometry.mesh_diffuse, self.light, visibility, color, self.device, self.threads)
         spent = self._timer.stop()
+        for name in OPTIONAL:
+            if name not in self._products.asked:
+                self.tell(name, UNASKED)
+        tell_turned_away(self, gbuffer)
+        self.count_left_out()
         return read_back(self, gbuffer, visibility, color, spent)
 
     def advance(self) -> None:
@@ -163,7 +164,7 @@ class Session:
         self.near_plane.advance()
         self._previous_camera, self._previous_index = self._camera, self.index
         self.count += 1
-        self._visit += 1
+        self._products.visit += 1
 
     def reset(self) -> None:
         """Forgets history and products, as before the first frame."""
@@ -174,7 +175,7 @@ class Session:
         self.near_plane.reset()
         self._previous_camera = self._previous_index = None
         self.count = 0
-        self._visit += 1
+        self._products.visit += 1
 
     # ---- what a technique asks for
     # --------------------------------------------------------------------------------------
@@ -186,17 +187,6 @@ class Session:
     def launch(self, kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: list, outputs: list) -> None:
         """Launches on the session's device and threads; the kernel's first argument is its tile's offset."""
         launch(kernel, dim, inputs, outputs, device=self.device, threads=self.threads)
-
-    def leave_out(self, what: str, reason: str, count: int = 1) -> bool:
-        """Records that ``what`` is not needed here and returns True; False, unrecorded, with skips off."""
-        if self.skips:
-            self.record(what, reason, count)
-        return self.skips
-
-    def record(self, what: str, reason: str, count: int = 1) -> None:
-        """Notes that ``what`` was not done, whether skips are on or not: there was no other way to go."""
-        key = (what, reason)
-        self.left_out[key] = self.left_out.get(key, 0) + count
 
     def buffer(self, name: str, shape: tuple[int, ...], dtype: type) -> wp.array:
         """Scratch memory that lives as long as the session; its content is whatever was left there."""
@@ -216,6 +206,21 @@ class Session:
         visibility_out.fill_(1.0)
         return True
 
+    def lit_without_casters(self, standard_error: float | None = None) -> wp.array | None:
+        """Visibility 1 in the frame's own G-buffer where the scene has no casters (and skips are on), else None.
+
+        To be asked for before anything else is built, such as an overscanned G-buffer. ``standard_error`` is what a
+        method that samples the light reports then.
+        """
+        if self.geometry.caster_triangles or not self.leave_out("all but G-buffer and shading", "nothing casts"):
+            return None
+        visibility = self.visibility_buffer(self.gbuffer())
+        visibility.fill_(1.0)
+        if standard_error is not None:
+            self.standard_error = self.buffer("standard error", visibility.shape, wp.float32)
+            self.standard_error.fill_(standard_error)
+        return visibility
+
     def product(self, name: str, key: Hashable, inputs: Hashable, build: Callable[[Any], Any]) -> Any:
         """Anything that outlives a frame while its inputs stay the same.
 
@@ -225,18 +230,13 @@ class Session:
             inputs: Everything it depends on, comparable; it is rebuilt when they differ.
             build: Called with the old value (or None), whose memory it may reuse; returns the new one.
         """
-        held = self._products.get(key)
-        if held is not None and held.stamp is not None and held.stamp == inputs:
-            if held.visit == self._visit or self.leave_out(name, "its inputs have not changed since it was built"):
-                return held.value
-        with self._timer.timed(name):
-            value = build(held.value if held else None)
-        self._products[key] = _Product(value, inputs, self._visit)
-        return value
+        return self._products.pull(name, key, inputs, build)
 
     def eye(self, margin: tuple[int, int] = (0, 0)) -> HostView:
         """The eye's view of this frame, with ``margin`` extra pixels at each side."""
-        return eye_view(self._camera, self.width, self.height, self.geometry.origin_ws, margin)
+        if margin not in self._eyes:
+            self._eyes[margin] = eye_view(self._camera, self.width, self.height, self.geometry.origin_ws, margin)
+        return self._eyes[margin]
 
     def margin(self, overscan: float) -> tuple[int, int]:
         """Extra pixels at each side for an overscan of, say, 0.05 of the frame's size."""
@@ -316,13 +316,7 @@ class Session:
 
     def light_hull(self) -> LightHull:
         """The light's hull for proofs, and how far a ray must reach to leave the scene."""
-        corners = self.light.hull
-        out = LightHull()
-        out.corners = wp.array(corners[:, :3].astype(np.float32), dtype=wp.vec3, device=self.device)
-        out.low, out.high = wp.vec3(*corners[:, :3].min(axis=0)), wp.vec3(*corners[:, :3].max(axis=0))
-        out.is_point = float(corners[0, 3])
-        out.reach = self.reach
-        return out
+        return light_hull(self.light, self.reach, self.device)
 
     @property
     def reach(self) -> float:
@@ -378,8 +372,13 @@ class Session:
             self.read_map = out
         return out
 
+    def map_is_empty(self, light_map: LightMap) -> bool:
+        """Whether nothing was drawn into a map of this session, because no caster lies in its views."""
+        return self._maps.is_empty(light_map)
+
     def history(self, name: str, allocate: Callable[[], Any], margin: tuple[int, int] = (0, 0)) -> History:
         """Two buffers made by ``allocate``, and the eye's view when the previous one was written."""
+        self._products.asked.add("history")
         if name not in self._histories:
             self._histories[name] = History(allocate(), allocate())
         out = self._histories[name]

@@ -9,13 +9,14 @@ import numpy as np
 import warp as wp
 
 from wkernels.gbuffer import GBuffer
-from wkernels.geometry import RECEIVES
+from wkernels.geometry import CASTS, RECEIVES
 from wkernels.light_views import perspective_aliasing
 
 if TYPE_CHECKING:
     from wkernels.frame import Session
 
 G_BUFFER, SHADING = "g-buffer", "shading"
+TURNED_AWAY = "comparisons of pixels with the light depth map", "their surface is turned away from the light"
 
 
 @dataclass
@@ -107,3 +108,19 @@ def read_back(
         m_z_max=m_z,
         not_finite=not_finite,
     )
+
+
+def tell_turned_away(frame: Session, gbuffer: GBuffer) -> None:
+    """Has the receivers counted that are not compared with the frame's map, as they are dark by themselves."""
+    light_map = frame.read_map
+    if light_map is None:
+        return
+
+    def count() -> int:
+        light = np.asarray(light_map.light_ws, np.float32)
+        to_light = light[:3] - gbuffer.position_ws.numpy() * light[3]
+        both = RECEIVES | CASTS
+        turned = np.einsum("hwi,hwi->hw", gbuffer.normal_ws.numpy(), to_light) <= 0.0
+        return int((turned & ((gbuffer.flags.numpy() & both) == both)).sum())
+
+    frame.tell(*TURNED_AWAY, count)

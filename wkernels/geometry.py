@@ -73,6 +73,7 @@ class Geometry:
         triangle_mesh: int32, shape (T,).
         mesh_flags: int32, shape (M,): CASTS | RECEIVES | MOVES.
         mesh_diffuse: vec3, shape (M,).
+        moving, casters_move: Whether any mesh moves, and whether any does that casts.
         moving_triangles: vec2i, one (begin, end) for each moving mesh.
         version: Grows whenever a vertex moves.
     """
@@ -118,6 +119,7 @@ class Geometry:
         self.triangle_normal_ws = wp.zeros(self.triangles, dtype=wp.vec3, device=device)
         self._update_normals()
         self.moving = any(mesh.moving for mesh in self.meshes)
+        self.casters_move = any(mesh.moving and mesh.casts for mesh in self.meshes)
         self.set_frame(0)
 
     def set_frame(self, frame: int) -> None:

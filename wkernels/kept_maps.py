@@ -11,7 +11,7 @@ from wkernels.frame import Session
 from wkernels.geometry import Bounds
 from wkernels.map_pool import MapPool, allocate_pool
 from wkernels.map_pool_drawing import PoolPainter
-from wkernels.map_shelf import MAP_BUDGET_BYTES
+from wkernels.map_shelf import BESIDE, MAP_BUDGET_BYTES
 from wkernels.views import HostView
 
 ROOM = 0.5  # of its own size that the box of movers grows beyond one that left it
@@ -186,7 +186,7 @@ class KeptMaps:
                 chosen = range(layers.start, min(layers.stop, len(views)))
                 beside = self._painter.draw(self.pool, slot, views, light_ws, weight, cull, chosen)
             if beside:
-                frame.leave_out("blocks of casters in light views", "they lie beside the view", beside)
+                frame.leave_out(*BESIDE, beside)
             if frame.light_views is None:
                 frame.light_views = (views, light_ws)
         return True

@@ -70,6 +70,7 @@ def draw_light_map(
     options: MapOptions = PLAIN_MAP,
     blocks: CasterBlocks | None = None,
     everything: bool = False,
+    draws: bool = True,
 ) -> tuple[LightMap, int]:
     """Draws a map; a new struct each time, so that the struct itself stands for its content.
 
@@ -84,6 +85,7 @@ def draw_light_map(
         options: How it is stored and drawn; drawn in any other way than in passes only with ``blocks``.
         blocks: Of the casters; what lies beside a layer's view is not drawn there.
         everything: Whether all of it is drawn all the same.
+        draws: Whether anything is drawn; a map that no caster can be in is only cleared.
 
     Returns:
         The map, and how many pairs of a block of casters and a layer were left out.
@@ -108,6 +110,10 @@ def draw_light_map(
     out.layers, out.resolution = layers, resolution
     out.light_ws, out.near = wp.vec4(*light_ws), max(views[0].near, clamps_of(views)[0])
     _choose_layers(out, views, device)
+    if not draws:
+        for image in layer_images(out.depth, layout):
+            image.fill_(float("inf"))
+        return out, 0
     device_views = [view.to_device() for view in views]
     images = layer_images(out.depth, layout)
     owner = None if triangle is None else triangle[:, :resolution]

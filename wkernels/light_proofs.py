@@ -6,7 +6,10 @@ answer, so every bound is wider than the rays' own rounding.
 
 from __future__ import annotations
 
+import numpy as np
 import warp as wp
+
+from wkernels.lights import Light
 
 SHAFT_SECTIONS = wp.constant(24)
 SHAFT_SLACK = wp.constant(1.0e-5)  # tangent; some hundred float32 roundings
@@ -25,6 +28,17 @@ class LightHull:
     high: wp.vec3
     is_point: float  # 1 points, 0 directions
     reach: float  # ray length that leaves the scene, for directions
+
+
+def light_hull(light: Light, reach: float, device: str) -> LightHull:
+    """The hull of a light, rebased world; ``reach`` is the length of a ray that leaves the scene."""
+    corners = light.hull
+    out = LightHull()
+    out.corners = wp.array(corners[:, :3].astype(np.float32), dtype=wp.vec3, device=device)
+    out.low, out.high = wp.vec3(*corners[:, :3].min(axis=0)), wp.vec3(*corners[:, :3].max(axis=0))
+    out.is_point = float(corners[0, 3])
+    out.reach = reach
+    return out
 
 
 @wp.func

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from wkernels.empty_maps import UNDRAWN, may_see
 from wkernels.geometry import Geometry
 from wkernels.light_map import LightMap
 from wkernels.light_map_drawing import CasterBlocks, draw_light_map, views_stamp
@@ -18,6 +19,7 @@ from wkernels.views import HostView
 if TYPE_CHECKING:
     from wkernels.frame import Session
 
+BESIDE = "blocks of casters in light views", "they lie beside the view"
 MAP_BUDGET_BYTES = 512 * 2**20  # maps of many light samples are kept for later frames up to this much memory
 
 
@@ -34,10 +36,16 @@ class MapShelf:
         self._blocks = CasterBlocks(geometry, rasteriser.device, rasteriser.threads)
         self._kept: dict[Hashable, int] = {}
         self._bytes = 0
+        self._empty: dict[Hashable, LightMap] = {}
+
+    def is_empty(self, light_map: LightMap) -> bool:
+        """Whether a map is one that nothing was drawn into, because no caster lies in its views."""
+        return any(light_map is held for held in self._empty.values())
 
     def clear(self) -> None:
         """Forgets all maps."""
         self._kept.clear()
+        self._empty.clear()
         self._bytes = 0
 
     def pull(
@@ -53,12 +61,16 @@ class MapShelf:
         triangle = frame.buffer("map triangles", (resolution, layout.pitch), wp.int32) if tagged else None
 
         def build(old: LightMap | None) -> LightMap:
-            way = (self._rasteriser, cull, triangle, options, self._blocks, not frame.skips)
-            made, beside = draw_light_map(old, self._geometry, views, light_ws, *way)
+            way = (self._rasteriser, cull, triangle, options, self._blocks, not frame.may_leave_out(*BESIDE))
+            draws = may_see(views, self._geometry.bounds(casters=True)) or not frame.leave_out(*UNDRAWN, len(views))
+            made, beside = draw_light_map(old, self._geometry, views, light_ws, *way, draws=draws)
+            self._empty.pop(key, None)
+            if not draws:
+                self._empty[key] = made
             self._bytes += 4 * made.depth.size - self._kept.get(key, 0)
             self._kept[key] = 4 * made.depth.size
             if beside:
-                frame.leave_out("blocks of casters in light views", "they lie beside the view", beside)
+                frame.leave_out(*BESIDE, beside)
             return made
 
         out: LightMap = frame.product("light depth map", key, (self._geometry.version, views_stamp(views)), build)

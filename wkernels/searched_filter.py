@@ -24,6 +24,8 @@ from wkernels.light_map import Bias, LightMap
 from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.receivers import receiver_of_pixel
 
+SETTLED = "filter of pixels", "the search settles them"
+
 
 @wp.struct
 class SearchedFilter:
@@ -196,7 +198,7 @@ def filter_after_search(
     """
     height, width = visibility_out.shape
     searches = len(searched.search_taps) > 0
-    searched.leave_out = int(searches and frame.skips)
+    searched.leave_out = int(searches and frame.may_leave_out(*SETTLED))
     lanes = uses_lanes(frame.device)
     cells = (height, runs_per_row(width) if lanes else width)
     left_out = frame.buffer("unfiltered pixels", cells, wp.int32)
@@ -204,4 +206,4 @@ def filter_after_search(
     kernel = filter_undecided_lanes if lanes else filter_undecided
     frame.launch(kernel, cells, [receivers, light_map, bias, searched], [left_out, visibility_out])
     if searched.leave_out:
-        frame.leave_out("filter of pixels", "the search settles them", int(left_out.numpy().sum()))
+        frame.count_later(*SETTLED, lambda: int(left_out.numpy().sum()))

@@ -31,6 +31,10 @@ from wkernels.stillness import count_still_frames
 MOVERS = {"disocclude": DISOCCLUDE, "at_once": AT_ONCE, "gradual": GRADUAL, "ignore": DISOCCLUDE}
 """Treatment of moving casters' shadows by name; to ``ignore`` them no map is tagged."""
 
+UNTAGGED = "tags of moving casters", "no caster moves"
+UNSMOOTHED = "neighbourhoods of pixels", "their error or penumbra is small enough"
+SETTLED = "light sample", "nothing moves and no standard error exceeds stop_error"
+
 HISTORY = {"bilinear": BILINEAR, "nearest": NEAREST, "linear": LINEAR}
 
 
@@ -100,10 +104,7 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
     out.window.largest = p.largest_n if p.largest_n < FLOAT32_LIMIT else UNLIMITED
     out.window.agreement, out.window.least = p.agreement, p.least_window
     out.has_history = int(history.valid)
-    out.has_movers = int(
-        p.movers != "ignore"
-        and (frame.geometry.moving or not frame.leave_out("tags of moving casters", "nothing moves"))
-    )
+    out.has_movers = int(p.movers != "ignore" and (frame.geometry.casters_move or not frame.leave_out(*UNTAGGED)))
     out.relative_epsilon, out.texel_steps = out.storage.rounding, HISTORY[p.history]
     out.half_widths = 0.5
     out.movers, out.decrement = int(MOVERS[p.movers]), p.mover_decrement
@@ -125,10 +126,18 @@ def is_settled(frame: Session, step: ShadowStep, p: StepParams) -> bool:
     if p.stop_error <= 0.0:
         return False
     settled = count_still_frames(frame) >= p.stop_samples and float(step.error.numpy().max()) <= p.stop_error
-    if settled and frame.leave_out("light sample", "nothing moves and no standard error exceeds stop_error"):
+    if settled and frame.leave_out(*SETTLED):
         wp.copy(step.history.current, step.history.previous)
         return True
     return False
+def count_unsmoothed(frame: Session, step: ShadowStep) -> None:
+    """Has the receivers counted that ask for no neighbourhood: their error is small, or their penumbra is."""
+
+    def count() -> int:
+        asks = np.abs(step.half_width.numpy()) >= 0.5
+        return int(((step.psi_depth.numpy()[..., 1] > 0.0) & ~asks).sum())
+
+    frame.tell(*UNSMOOTHED, count)
 
 
 def add_sample(frame: Session, step: ShadowStep, settings: UpdateSettings, p: StepParams) -> None:

@@ -22,9 +22,10 @@ from typing import Literal
 import warp as wp
 
 from algorithms.technique import Limit, MapParams, Technique, setting
+from wkernels.empty_maps import nothing_hides
 from wkernels.filtering import tap_set
 from wkernels.frame import Session as Frame
-from wkernels.searched_filter import filter_after_search, rim_taps, searched_filter
+from wkernels.searched_filter import SETTLED, filter_after_search, rim_taps, searched_filter
 
 
 class PcfBlockerSkip(Technique):
@@ -34,6 +35,7 @@ class PcfBlockerSkip(Technique):
     family = "filtering"
     paper = ("stingl2011", "fernando2005pcss")
     bias_sign = "none"
+    may_leave_out = (SETTLED,)
     limits = (
         Limit(equals="shadow_map", params={"radius": 0.0, "bilinear": False}),
         Limit(
@@ -65,6 +67,8 @@ class PcfBlockerSkip(Technique):
             return visibility
         p = self.params
         light_map = frame.light_map(p.resolution, cull=p.cull)
+        if nothing_hides(frame, gbuffer, light_map, visibility):
+            return visibility
         search = rim_taps(p.search_taps) if p.search == "rim" else tap_set("poisson", p.search_taps)
         slot = (p.search, p.search_taps, p.taps, p.radius, p.bilinear)
         searched = searched_filter(frame, search, tap_set("poisson", p.taps), p.radius, p.bilinear, slot)

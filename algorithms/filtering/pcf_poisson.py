@@ -18,6 +18,7 @@ import numpy as np
 import warp as wp
 
 from algorithms.technique import Limit, MapParams, Technique, setting
+from wkernels.empty_maps import nothing_hides
 from wkernels.filtering import tap_set
 from wkernels.frame import Session as Frame
 from wkernels.searched_filter import filter_after_search, searched_filter
@@ -52,6 +53,8 @@ class PcfPoisson(Technique):
             return visibility
         params = self.params
         light_map = frame.light_map(params.resolution, cull=params.cull)
+        if nothing_hides(frame, gbuffer, light_map, visibility):
+            return visibility
         taps = tap_set("poisson", params.taps)
         searched = searched_filter(frame, NO_SEARCH, taps, params.radius, True, (params.taps, params.radius))
         with frame.timed("filter comparisons"):

@@ -26,6 +26,7 @@ from pydantic import ValidationInfo, field_validator
 
 from algorithms.technique import Limit, MapParams, Technique, setting
 from wkernels.comparison_lanes import SpreadRun
+from wkernels.empty_maps import nothing_hides
 from wkernels.filtering import check_tap_count, penumbra_filter, pull_taps
 from wkernels.filtering_lanes import keep_without_receiver, penumbra_filter_run
 from wkernels.frame import Session as Frame
@@ -162,6 +163,8 @@ class PcfSplitKernel(Technique):
             return visibility
         params = self.params
         light_map = frame.light_map(params.resolution, cull=params.cull)
+        if nothing_hides(frame, gbuffer, light_map, visibility):
+            return visibility
         taps = pull_taps(frame, params.kernel, params.taps)
         densities = pull_layer_densities(frame, light_map)
         shape = [0.5 * params.diameter, int(params.scale == "receiver"), int(params.bilinear)]

@@ -29,6 +29,7 @@ from pydantic import field_validator
 
 from algorithms.technique import MapParams, Technique, setting
 from wkernels.blur import gaussian_weights, separable_blur
+from wkernels.empty_maps import nothing_hides
 from wkernels.filtering import (
     LightFootprint,
     mean_blocker_depth,
@@ -55,6 +56,9 @@ from wkernels.moments import (
 from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.receivers import receiver_of_pixel
 from wkernels.summed_area import box_mean, summed_area_table
+
+TAPS_ALIKE = "taps of the search", "the light has no area"
+NO_BLUR = "blur of moments", "its kernel has one tap"
 
 
 @wp.kernel
@@ -163,6 +167,7 @@ class Vsm(Technique):
         "light_place": "no texel falls on a receiver in whose plane the light lies"
     }
     bias_sign = "lighter"
+    may_leave_out = (TAPS_ALIKE, NO_BLUR)
 
     class Params(MapParams):
         """Filter and bound."""
@@ -217,6 +222,8 @@ class Vsm(Technique):
             return visibility
         params = self.params
         light_map = frame.light_map(params.resolution, cull=params.cull)
+        if nothing_hides(frame, gbuffer, light_map, visibility):
+            return visibility
         moments = self._moments(frame, light_map)
         common = [light_map, params.device_bias, moments.chebyshev]
         if params.width == "fixed":
@@ -231,7 +238,10 @@ class Vsm(Technique):
             return visibility
         tables = self._tables(frame, moments)
         footprint = pull_footprint(frame, light_map)
-        taps = pull_taps(frame, "poisson", params.blocker_taps)
+        count, hard = params.blocker_taps, not frame.light.has_area
+        if count > 1 and hard and frame.leave_out(*TAPS_ALIKE, count - 1):
+            count = 1
+        taps = pull_taps(frame, "poisson", count)
         with frame.timed("penumbra lookup"):
             frame.launch(look_up_penumbra, visibility.shape, [gbuffer, *common, footprint, taps, tables], [visibility])
         return visibility
@@ -259,7 +269,7 @@ class Vsm(Technique):
         return moments
 
     def _blurred(self, frame: Frame, moments: Moments) -> wp.array:
-        if self.params.taps == 1 and frame.leave_out("blur of moments", "its kernel has one tap"):
+        if self.params.taps == 1 and frame.leave_out(*NO_BLUR):
             return moments.image
 
         def build(old: wp.array | None) -> wp.array:

@@ -32,6 +32,10 @@ from wkernels.gbuffer import GBuffer, is_back_lit
 from wkernels.geometry import RECEIVES
 from wkernels.light_map import to_light
 
+FLAT_NONE = "flattened casters", "no receiver is flat"
+ALIKE = "flattened casters of light samples", "the light has no area"
+UNSEEN = "flattened casters", "no pixel shows the plane"
+
 
 @wp.kernel
 def add_back_lit(first: int, gbuffer: GBuffer, light_ws: wp.vec4, weight: float, hidden_out: wp.array2d(dtype=float)):
@@ -92,6 +96,7 @@ class ProjectionShadows(Technique):
         "grazing": "the flattened casters reach to where float32 has no digits left as the light nears the plane",
     }
     bias_sign = "none"
+    may_leave_out = (ALIKE, FLAT_NONE, UNSEEN)
     limits = (
         Limit(equals="ray_cast_point_shadow", tolerance=1e-6, flips=0.01),
         Limit(equals="reference_multisample", params={"light_samples": 16}, other_params={"samples": 16}, flips=0.03),
@@ -124,6 +129,8 @@ class ProjectionShadows(Technique):
         else:
             lights, weights = frame.light.centre[None], np.ones(1, np.float32)
         total = np.add.accumulate(weights)[-1]  # in the kernels' order and precision: "all hidden" is exactly 0
+        if count > 1 and not frame.light.has_area and frame.leave_out(*ALIKE, count - 1):
+            lights, weights = lights[:1], np.array([total])
         planes = self._planes(frame, gbuffer)
         hidden = frame.buffer("hidden weight", visibility.shape, wp.float32)
         hidden.zero_()
@@ -145,14 +152,14 @@ class ProjectionShadows(Technique):
 
         planes = frame.product("receiver planes", "receiver planes", frame.geometry.version, build)[0]
         if not planes:
-            frame.leave_out("flattened casters", "no receiver is flat")
+            frame.tell(*FLAT_NONE)
         numbered = list(enumerate(planes))
-        if len(numbered) > 1 and frame.skips:
+        if len(numbered) > 1 and frame.may_leave_out(*UNSEEN):
             mesh = gbuffer.mesh.numpy()
             shown = set(np.flatnonzero(np.bincount(mesh[mesh >= 0], minlength=1)))
             seen = [(number, plane) for number, plane in numbered if shown.intersection(plane.meshes)]
             if len(seen) < len(numbered):
-                frame.leave_out("flattened casters", "no pixel shows the plane", len(numbered) - len(seen))
+                frame.leave_out(*UNSEEN, len(numbered) - len(seen))
             numbered = seen
         return numbered
 

@@ -17,6 +17,7 @@ import warp as wp
 
 from algorithms.technique import Limit, MapParams, Technique
 from wkernels.comparison_lanes import compare_nearest_run
+from wkernels.empty_maps import nothing_hides
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer
 from wkernels.lanes import LANES, runs_per_row, uses_lanes
@@ -74,6 +75,8 @@ class ShadowMap(Technique):
         if frame.nothing_casts(visibility):
             return visibility
         light_map = frame.light_map(self.params.resolution, cull=self.params.cull)
+        if nothing_hides(frame, gbuffer, light_map, visibility):
+            return visibility
         with frame.timed("compare depth"):
             inputs = [light_map, self.params.device_bias]
             if uses_lanes(frame.device):

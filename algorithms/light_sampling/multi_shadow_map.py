@@ -29,6 +29,8 @@ from wkernels.lanes import LANES, runs_per_row, uses_lanes
 from wkernels.light_map import Bias, LightMap, compare_nearest, locate_receiver, to_light
 from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 
+MAPS_ALIKE = "light depth maps", "the light has no area"
+
 
 @wp.kernel
 def add_comparison(
@@ -93,6 +95,7 @@ class MultiShadowMap(Technique):
         "light_place": "no texel falls on a receiver in whose plane the light lies"
     }
     bias_sign = "none"
+    may_leave_out = (MAPS_ALIKE,)
 
     class Params(MapParams):
         """Those of every map technique, and the light's points."""
@@ -114,11 +117,7 @@ class MultiShadowMap(Technique):
         weights = samples.weights_host.astype(np.float32)
         total = np.add.accumulate(weights)[-1]  # in the kernels' order and precision, so that "all seen" is exactly 1
         maps = p.samples
-        if (
-            maps > 1
-            and not frame.light.has_area
-            and frame.leave_out("light depth maps", "the light has no area", maps - 1)
-        ):
+        if maps > 1 and not frame.light.has_area and frame.leave_out(*MAPS_ALIKE, maps - 1):
             maps, weights = 1, np.array([total])
         seen = frame.buffer("seen weight", visibility.shape, wp.float32)
         seen.zero_()

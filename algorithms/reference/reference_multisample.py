@@ -11,20 +11,24 @@ On the CPU all rays of a receiver are cast at once, against the triangles that t
 
 Deviation: pixels that can be *proven* wholly lit (no caster touches the shaft to the light) or wholly dark (one
 triangle hides the light's convex hull, or the light is behind the surface) cast no further rays; the result is the same
-with the proofs off.
+with the proofs off. A light without area is asked once.
 Known artefacts: N samples give N + 1 levels.
 """
 
 from __future__ import annotations
 
+import numpy as np
 import warp as wp
 
 from algorithms.technique import Limit, Technique, setting
 from algorithms.technique import Params as BaseParams
 from wkernels.frame import Session as Frame
 from wkernels.lanes import uses_lanes
-from wkernels.rays import binomial_standard_error, trace_light
+from wkernels.rays import PROVEN_DARK, PROVEN_LIT, binomial_standard_error, trace_light
 from wkernels.shaft_rays import trace_shafts
+
+PROVEN = "rays to the light", "a proof settles the pixel"
+RAYS_ALIKE = "rays to the light from each pixel", "the light has no area"
 
 
 class ReferenceMultisample(Technique):
@@ -34,6 +38,7 @@ class ReferenceMultisample(Technique):
     family = "reference"
     paper = ("heckbert1997", "schwaerzler2009", "scherzer2009tc")
     bias_sign = "none"
+    may_leave_out = (PROVEN, RAYS_ALIKE)
     limits = (Limit(equals="ray_cast_point_shadow", params={"samples": 4}, light_scale=0.0),)
 
     class Params(BaseParams):
@@ -48,18 +53,26 @@ class ReferenceMultisample(Technique):
         sample_set: str = setting("halton", "point set: halton, r2, poisson_disc or random", unit="name")
 
     def render(self, frame: Frame) -> wp.array:
+        count = self.params.samples
+        if (lit := frame.lit_without_casters(standard_error=0.0 if count > 1 else 1.0)) is not None:
+            return lit
         gbuffer = frame.gbuffer()
         visibility = frame.visibility_buffer(gbuffer)
-        samples = frame.light_samples(self.params.samples, self.params.sample_set, self.params.start)
+        alike = count > 1 and not frame.light.has_area and frame.leave_out(*RAYS_ALIKE, count - 1)
+        samples = frame.light_samples(1 if alike else count, self.params.sample_set, self.params.start)
         proof = frame.buffer("proof", visibility.shape, wp.int32)
         error = frame.standard_error = frame.buffer("standard error", visibility.shape, wp.float32)
-        prove = int(frame.leave_out("rays to the light", "a proof settles the pixel", 0))
+        proves = frame.may_leave_out(*PROVEN)
         hull = frame.light_hull()
         if uses_lanes(frame.device):
-            kernel, inputs = trace_shafts, [gbuffer, frame.caster_tree(), samples.batches, hull, prove]
+            kernel, inputs = trace_shafts, [gbuffer, frame.caster_tree(), samples.batches, hull, int(proves)]
         else:
-            kernel, inputs = trace_light, [gbuffer, frame.casters(), samples.points_ws, samples.weights, hull, prove]
+            kernel, inputs = (
+                trace_light,
+                [gbuffer, frame.casters(), samples.points_ws, samples.weights, hull, int(proves)],
+            )
         with frame.timed("shadow rays"):
             frame.launch(kernel, visibility.shape, inputs, [visibility, proof])
-            frame.launch(binomial_standard_error, visibility.shape, [visibility, float(self.params.samples)], [error])
+            frame.launch(binomial_standard_error, visibility.shape, [visibility, float(count)], [error])
+        frame.count_later(*PROVEN, lambda: int(np.isin(proof.numpy(), (PROVEN_LIT, PROVEN_DARK)).sum()))
         return visibility

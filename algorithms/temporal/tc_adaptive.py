@@ -64,6 +64,8 @@ from wkernels.pool_update import PoolSteps, add_movers, update_sums
 from wkernels.pool_update_lanes import add_movers_lanes, update_sums_lanes
 from wkernels.receiver_lanes import lane_views
 
+STANDS_STILL = "light depth maps and tests", "the view has stood still for all samples"
+NO_MOVERS = "maps of moving casters", "no caster moves"
 NO_LIMIT = 2.0**22  # a quarter of where whole numbers in float32 stop being exact
 
 
@@ -78,6 +80,7 @@ class TcAdaptive(Technique):
         "light_place": "no texel falls on a receiver in whose plane the light lies"
     }
     bias_sign = "none"
+    may_leave_out = (STANDS_STILL, NO_MOVERS)
     limits = (
         Limit(
             equals="multi_shadow_map",
@@ -141,13 +144,12 @@ class TcAdaptive(Technique):
 
     def render(self, frame: Frame) -> wp.array:
         p = self.params
+        if (lit := frame.lit_without_casters(standard_error=0.0)) is not None:
+            return lit
         gbuffer = frame.gbuffer()
         visibility = frame.visibility_buffer(gbuffer)
         shape = visibility.shape
         error = frame.standard_error = frame.buffer("standard error", shape, wp.float32)
-        if frame.nothing_casts(visibility):
-            error.zero_()
-            return visibility
         kept: KeptMaps = frame.product(
             "maps", "kept maps", (), lambda old: old or KeptMaps(frame, p.samples, p.resolution)
         )
@@ -158,7 +160,7 @@ class TcAdaptive(Technique):
         wanted = frame, seen, p.draws, p.tests, isinstance(frame.projection, Composition)
         plan = kept.schedule(*wanted)
         if plan.refines and kept.still_frames(frame) >= p.still_samples:
-            if frame.leave_out("light depth maps and tests", "the view has stood still for all samples"):
+            if frame.leave_out(*STANDS_STILL):
                 wp.copy(history.current, history.previous)
                 return visibility
             plan = replace(plan, draws=(), added=0)
@@ -178,7 +180,7 @@ class TcAdaptive(Technique):
                 frame.launch(update_sums, shape, [gbuffer, *inputs, history.previous], outputs)
 
         # 3: movers
-        if frame.geometry.moving or not frame.leave_out("maps of moving casters", "nothing moves"):
+        if frame.geometry.casters_move or not frame.leave_out(*NO_MOVERS):
             self._add_movers(frame, gbuffer, kept, plan.filled, visibility, error)
         return visibility
 

@@ -49,6 +49,8 @@ from wkernels.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lane
 from wkernels.receiver_lanes import lane_views
 from wkernels.shadow_buffer import BILINEAR, NEAREST
 
+UNTAGGED = "tags of moving casters", "no caster moves"
+
 
 class TcHard(Technique):
     """One jittered map a frame, hard tests weighted by their confidence, a history per pixel."""
@@ -59,6 +61,7 @@ class TcHard(Technique):
     needs = Needs(history=True)
     hard = True
     bias_sign = "none"
+    may_leave_out = (UNTAGGED,)
     limits = (
         Limit(equals="shadow_map", params={"jitter": 0.0, "overscan": 0.0}, frames=8),
         # the first frame: nothing is known, no jitter yet
@@ -152,17 +155,18 @@ class TcHard(Technique):
         )
 
     def render(self, frame: Frame) -> wp.array:
+        if (lit := frame.lit_without_casters()) is not None:
+            return lit
         p = self.params
         gbuffer = frame.gbuffer(overscan=p.overscan)
         visibility = frame.visibility_buffer(gbuffer)
         shape = visibility.shape
-        if frame.nothing_casts(visibility):
-            return visibility
         history = frame.history(
             "hard shadows", lambda: wp.zeros(shape, dtype=wp.vec4, device=frame.device), frame.margin(p.overscan)
         )
         tags = p.movers == "reset"
-        tags = tags and (frame.geometry.moving or not frame.leave_out("tags of moving casters", "nothing moves"))
+        if tags and not frame.geometry.casters_move:
+            tags = not frame.leave_out(*UNTAGGED)
         seed = 0 if frame.seed == 1 else frame.seed + 1
         jitter = frame_jitter(p.sample_set, frame.count, p.jitter, np.radians(p.rotation), seed)
         light_map = frame.light_map(p.resolution, cull=p.cull, tag_moving_casters=tags, jitter=jitter)

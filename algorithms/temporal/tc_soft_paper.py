@@ -57,8 +57,18 @@ from algorithms.technique import Limit, Needs, Technique, setting
 from wkernels.filtering import check_tap_count, pull_taps
 from wkernels.frame import Session as Frame
 from wkernels.neighbourhood_filter import filter_image
-from wkernels.shadow_buffer_step import add_sample, begin_step, is_settled
+from wkernels.shadow_buffer_step import (
+    SETTLED,
+    UNSMOOTHED,
+    UNTAGGED,
+    add_sample,
+    begin_step,
+    count_unsmoothed,
+    is_settled,
+)
 from wkernels.shadow_buffer_update import START_PCSS, START_SAMPLE
+
+TAPS_ALIKE = "taps of starts", "the light has no area"
 
 
 class TcSoftPaper(Technique):
@@ -72,6 +82,7 @@ class TcSoftPaper(Technique):
         "light_place": "no texel falls on a receiver in whose plane the light lies"
     }
     bias_sign = "none"
+    may_leave_out = (UNTAGGED, UNSMOOTHED, SETTLED, TAPS_ALIKE)
     limits = (
         Limit(
             equals="multi_shadow_map",
@@ -138,23 +149,23 @@ class TcSoftPaper(Technique):
             return check_tap_count(taps, "box")
 
     def render(self, frame: Frame) -> wp.array:
+        if (lit := frame.lit_without_casters(standard_error=0.0)) is not None:
+            return lit
         p = self.params
         gbuffer = frame.gbuffer(overscan=p.overscan)
         visibility = frame.visibility_buffer(gbuffer)
-        shape = visibility.shape
-        error = frame.standard_error = frame.buffer("standard error", shape, wp.float32)
-        if frame.nothing_casts(visibility):
-            error.zero_()
-            return visibility
+        frame.standard_error = frame.buffer("standard error", visibility.shape, wp.float32)
         step, settings = begin_step(frame, gbuffer, p)
         if is_settled(frame, step, p):
             return visibility
 
         # a start by soft shadows of the frame's map
         settings.start, settings.start_weight = int(START_PCSS if p.start == "pcss" else START_SAMPLE), p.start_weight
-        settings.blocker_taps, settings.filter_taps = (
-            pull_taps(frame, "box", n) for n in (p.blocker_taps, p.filter_taps)
-        )
+        counts = [p.blocker_taps, p.filter_taps]
+        more = 0 if frame.light.has_area or p.start == "sample" else sum(counts) - 2
+        if more and frame.leave_out(*TAPS_ALIKE, more):
+            counts = [1, 1]
+        settings.blocker_taps, settings.filter_taps = (pull_taps(frame, "box", n) for n in counts)
         settings.first_blockers = float(p.blocker_taps) if p.start == "pcss" else 0.0
         settings.depth_epsilon = p.depth_epsilon * frame.reach
         settings.smooths, settings.error_threshold = int(p.filter), p.error_threshold
@@ -164,6 +175,8 @@ class TcSoftPaper(Technique):
         add_sample(frame, step, settings, p)
 
         # smoothed where that is still uncertain
+        if p.filter:
+            count_unsmoothed(frame, step)
         with frame.timed("neighbourhood filter"):
             filter_image(frame, step.psi_depth, step.half_width, p.taps, p.filter_depth_range, visibility)
         return visibility

@@ -54,8 +54,19 @@ from wkernels.lanes import flat_floats, flat_pairs, runs_per_row, uses_lanes
 from wkernels.neighbourhood_blend import BLEND, BlendSettings, blend_neighbourhood_lanes
 from wkernels.neighbourhood_filter import pull_opposite_taps
 from wkernels.shadow_buffer import TEXEL_TYPES
-from wkernels.shadow_buffer_step import ShadowStep, add_sample, begin_step, is_settled
+from wkernels.shadow_buffer_step import (
+    SETTLED,
+    UNSMOOTHED,
+    UNTAGGED,
+    ShadowStep,
+    add_sample,
+    begin_step,
+    count_unsmoothed,
+    is_settled,
+)
 from wkernels.shadow_buffer_update import START_SAMPLE, START_SEARCH
+
+POINTLESS = "blocker searches and neighbourhoods", "the light has no area"
 
 
 class TcSoftThesis(Technique):
@@ -69,6 +80,7 @@ class TcSoftThesis(Technique):
         "light_place": "no texel falls on a receiver in whose plane the light lies"
     }
     bias_sign = "none"
+    may_leave_out = (UNTAGGED, UNSMOOTHED, SETTLED, POINTLESS)
     limits = (Limit(equals="multi_shadow_map", params={"filter": False}, other_params={"samples": 16}, frames=16),)
 
     class Params(ShadowBufferParams):
@@ -153,18 +165,19 @@ class TcSoftThesis(Technique):
             return self
 
     def render(self, frame: Frame) -> wp.array:
+        if (lit := frame.lit_without_casters(standard_error=0.0)) is not None:
+            return lit
         p = self.params
         gbuffer = frame.gbuffer(overscan=p.overscan)
         visibility = frame.visibility_buffer(gbuffer)
-        error = frame.standard_error = frame.buffer("standard error", visibility.shape, wp.float32)
-        if frame.nothing_casts(visibility):
-            error.zero_()
-            return visibility
+        frame.standard_error = frame.buffer("standard error", visibility.shape, wp.float32)
         step, settings = begin_step(frame, gbuffer, p)
         if is_settled(frame, step, p):
             return visibility
         settings.relative_epsilon += p.depth_epsilon
-        if p.filter:
+        still = not frame.geometry.casters_move  # else the search tags pixels that a mover will shadow
+        if p.filter and not (still and not frame.light.has_area and frame.leave_out(*POINTLESS)):
+            count_unsmoothed(frame, step)
             settings.start, settings.stores_smoothed = int(START_SEARCH), int(p.start == "blur")
             settings.blocker_taps = pull_taps(frame, "poisson", p.blocker_taps)
             settings.search_radius, settings.first_blockers = p.search_radius, float(p.blocker_taps)

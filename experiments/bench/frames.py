@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from algorithms.plugins import find, load_all
 from experiments.bench.passes import depth_mismatch
@@ -16,6 +18,8 @@ from experiments.config.needs import unmet_need
 from wkernels.frame import Session
 from wkernels.geometry import Geometry
 from wkernels.light_map import depths_on_host
+
+FEW_MS_REPEATS = 41  # of frames so short that fewer do not tell 5 % apart
 
 
 class Walk:
@@ -77,6 +81,31 @@ def walk_scene(bench: Bench, name: str, scene_name: str) -> Iterator[Row]:
         largest = ", ".join(f"{part} {share:.0%}" for part, share in list(shares.items())[:3])
         note = f"{size[0]}x{size[1]}, {kept}{changed[technique_name]}; {largest}"
         yield Row(row_name, times[technique_name], note=note, figures={"passes": shares})
+
+
+class AllLit:
+    """The least that a frame can cost: G-buffer and shading."""
+
+    def render(self, frame: Session) -> wp.array:
+        """1 everywhere."""
+        visibility = frame.visibility_buffer(frame.gbuffer())
+        visibility.fill_(1.0)
+        return visibility
+
+
+def compare_with_nothing(bench: Bench, name: str) -> Iterator[Row]:
+    """Every technique in a scene whose meshes cast nothing, beside G-buffer and shading alone, the eye moving."""
+    whole, size = bench.scene("paris"), bench.sizes.frame
+    scene = replace(whole, meshes=tuple(replace(mesh, casts=False) for mesh in whole.meshes))
+    geometry = Geometry(scene, "cpu", bench.threads)
+    for technique in load_all().values():
+        if why := unmet_need(technique, scene, scene.lights[0]):
+            yield Row(f"{name}.{technique.name}", None, note=why)
+            continue
+        ours, least = (Walk(geometry, made, size, bench.threads) for made in (technique(), AllLit()))
+        ours_ms, least_ms = interleaved_medians([ours.next_frame, least.next_frame], max(bench.repeats, FEW_MS_REPEATS))
+        note = f"whole frames, {size[0]}x{size[1]}, the eye moves"
+        yield Row(f"{name}.{technique.name}", ours_ms, "G-buffer and shading", least_ms, note=note)
 
 
 def compare_temporal(bench: Bench, name: str) -> Iterator[Row]:

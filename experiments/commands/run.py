@@ -53,6 +53,7 @@ def run_experiment(
     kinds = {
         "analysis": _run_analysis,
         "convergence": _run_convergence,
+        "savings": _run_savings,
         "stability": _run_stability,
         "sweep": _run_sweep,
     }
@@ -128,6 +129,19 @@ def _run_sweep(request: _Request) -> None:
     print(f"Report: {folder / 'report.html'}")
 
 
+def _run_savings(request: _Request) -> None:
+    from experiments.config.savings import load_savings
+    from experiments.savings import run_savings, savings_text
+    from experiments.tables import read_table
+
+    plugins = load_all(request.plugin_files)
+    savings = load_savings(request.config, request.overrides, plugins)
+    folder = request.folder(savings.name)
+    with _interruptible(folder), progress_display() as progress:
+        table = run_savings(savings, folder, plugins, progress=progress, **request.options)
+    print(f"{savings_text(read_table(table))}\nTable: {table}")
+
+
 @contextmanager
 def _interruptible(folder: Path) -> Iterator[None]:
     try:
@@ -189,6 +203,11 @@ def explain_experiment(config: Path, *, overrides: Sequence[str], plugin_files: 
         from experiments.sweep.run import explain_sweep
 
         print(explain_sweep(load_sweep(config, overrides, plugins), plugins))
+    elif kind == "savings":
+        from experiments.config.savings import load_savings
+        from experiments.savings import explain_savings
+
+        print(explain_savings(load_savings(config, overrides, plugins), plugins))
     elif kind == "convergence":
         from experiments.config.convergence import Estimates, load_convergence
         from experiments.convergence import explain_convergence

@@ -25,8 +25,8 @@ from wkernels.scene import Scene
 
 __all__ = ["Experiment", "FrameRange", "Image", "Projection", "Reference", "Views", "check_needs", "load_experiment"]
 
-KINDS = ("walkthrough", "convergence", "sweep", "stability", "analysis", "bench")
-AVAILABLE_KINDS = ("walkthrough", "convergence", "sweep", "stability", "analysis")
+KINDS = ("walkthrough", "convergence", "sweep", "stability", "savings", "analysis", "bench")
+AVAILABLE_KINDS = ("walkthrough", "convergence", "sweep", "stability", "savings", "analysis")
 REFERENCE_METRICS = frozenset({"rmse", "mean_signed_error", "p99_error", "flip", "reference_standard_error"})
 
 

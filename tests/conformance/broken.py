@@ -110,6 +110,11 @@ def nan_in_corner(v: np.ndarray, frame: Frame) -> np.ndarray:
     return v
 
 
+def shows_where(needless: Callable[[Frame], bool]) -> Spoil:
+    """Leaves out a little light where a scene is thought not to need it."""
+    return lambda v, frame: v * (1.0 - 1e-6 * (needless(frame) and frame.leave_out("light", "none")))
+
+
 calls = itertools.count()
 
 broken("image_is_visibility", "more light than there is", lambda v, frame: 1.5 * v)
@@ -142,6 +147,12 @@ broken(
 broken("inputs_are_left_untouched", "writes to the G-buffer", write_to_gbuffer)
 broken("inputs_are_left_untouched", "writes to the geometry", write_to_geometry)
 broken("skips_change_no_bit", "a skip that shows", lambda v, frame: v * (1.0 - 1e-6 * frame.leave_out("light", "none")))
+broken("skips_change_no_bit", "shows without area", shows_where(lambda frame: not frame.light.has_area))
+broken("skips_change_no_bit", "shows after a while", shows_where(lambda frame: frame.count > 3))
+broken("skips_change_no_bit", "shows with movers", shows_where(lambda frame: frame.geometry.moving))
+broken("skips_change_no_bit", "shows without casters", shows_where(lambda frame: not frame.geometry.caster_triangles))
+broken("skips_change_no_bit", "shows in the dark", shows_where(lambda frame: frame.light.centre[1] < 0.0))
+broken("skips_change_no_bit", "skips all the same", lambda v, frame: frame.record("light", "none") or v)
 broken(
     "every_light_kind_casts_its_shadow",
     "knows no lines",

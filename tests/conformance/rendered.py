@@ -162,15 +162,6 @@ def inputs_are_left_untouched(technique: type[Technique], device: str) -> None:
             np.testing.assert_array_equal(getattr(source, name).numpy(), value, err_msg=f"{name} was written to")
 
 
-@check()
-def skips_change_no_bit(technique: type[Technique], device: str) -> None:
-    for scene in scenes_for(technique):
-        images = [render(technique, scene, device, skips=skips, frames=3) for skips in (True, False)]
-        np.testing.assert_array_equal(images[0].visibility, images[1].visibility)
-        np.testing.assert_array_equal(images[0].standard_error, images[1].standard_error)
-        assert not images[1].left_out, f"left out with skips off: {images[1].left_out}"
-
-
 def low_box(light: Light) -> Scene:
     """A closed box near the ground: with the light close by it takes all six faces of a cube to cover the receiver."""
     return small_scenes.scene(

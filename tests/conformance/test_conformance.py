@@ -6,6 +6,7 @@ import declared  # noqa: F401  (registers its checks)
 import over_time  # noqa: F401
 import pytest
 import rendered  # noqa: F401
+import skips  # noqa: F401
 from rig import CHECKS, Check
 
 from algorithms.plugins import load_all
