@@ -6,6 +6,7 @@ turns, so that a slow second of the machine hits all of them. A skip is judged b
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments.engine import WarpEngine
-from experiments.environment import describe_machine
+from experiments.environment import describe_machine, file_digest
 from experiments.runner import TechniquesFailed
 from experiments.store import Store
 from experiments.tables import Row, Table, read_table, table_text, write_text
@@ -159,13 +160,13 @@ def run_savings(
     if not skips:
         raise InputError("an experiment of kind savings runs with and without them.", key="--no-skips")
     out = Path(out)
-    environment = {
-        "identity": {"wkernels": __version__, "device": device},
+    environment: dict[str, Any] = {
+        "identity": _identity(savings, plugins, device, threads or default_threads()),
         "run": {"name": savings.name, "kind": "savings", "scenes": [e.loaded_scene.name for e in savings.experiments]},
         "environment": describe_machine(device, threads or default_threads()),
         "metrics": {},
     }
-    kept = _kept(out, savings) if resume else []
+    kept = _kept(out, savings, environment["identity"]) if resume else []
     store = Store.open(out, savings.to_yaml(), environment, resume=False)
     path = out / "savings.csv"
     write_text(path, table_text(COLUMNS, kept))
@@ -196,10 +197,20 @@ def run_savings(
     return path
 
 
-def _kept(out: Path, savings: Savings) -> list[dict[str, str]]:
+def _identity(savings: Savings, plugins: Mapping[str, type], device: str, threads: int) -> dict[str, Any]:
+    """What rows must share to be comparable."""
+    scenes = {f"scene {e.loaded_scene.name}": e.loaded_scene.content_hash for e in savings.experiments}
+    used = sorted({run.name for experiment in savings.experiments for run in experiment.runs})
+    digests = {f"plugin {name}": file_digest(inspect.getfile(plugins[name])) for name in used}
+    return {"wkernels": __version__, "device": device, "threads": threads, **scenes, **digests}
+
+
+def _kept(out: Path, savings: Savings, identity: Mapping[str, Any]) -> list[dict[str, str]]:
     """Rows of labels that are complete, if the folder holds an earlier run of the same experiment."""
     config = out / "config.yaml"
     if not config.is_file() or config.read_text(encoding="utf-8") != savings.to_yaml():
+        return []
+    if Store(out).environment().get("identity") != identity:
         return []
     rows = read_table(out / "savings.csv")
     complete = {(row["scene"], row["label"]) for row in rows if row["what"] == EVERYTHING}

@@ -31,7 +31,7 @@ SCENES = Path(__file__).parents[2] / "configs" / "scenes"
 PLUGINS = load_all()
 FILE = """
 kind: savings
-scenes: [{scenes}/moving_blocker.yaml, {scenes}/a6_empty.yaml]
+scenes: [{scenes}/moving_blocker.yaml, bare.yaml]
 image: {{width: 32, height: 18}}
 techniques: [pcf_blocker_skip: {{resolution: 64}}, multi_shadow_map: {{resolution: 64, samples: 2}}]
 frames: 2
@@ -41,6 +41,10 @@ repeats: 1
 
 
 def load(folder: Path, text: str = FILE, overrides: tuple[str, ...] = ()) -> Savings:
+    empty = (SCENES / "a6_empty.yaml").read_text(encoding="utf-8")
+    (folder / "bare.yaml").write_text(
+        empty.replace("primitive: plane", "primitive: plane, casts: false"), encoding="utf-8"
+    )
     path = folder / "saves.yaml"
     path.write_text(text.format(scenes=SCENES.as_posix()), encoding="utf-8")
     return load_savings(path, overrides, PLUGINS)
@@ -58,9 +62,9 @@ def test_every_skip_has_a_row_and_changes_no_image(table: Path) -> None:
     assert all(float(row["image_difference"]) == 0.0 for row in rows)
     found = {(row["scene"], row["label"], row["what"]) for row in rows}
     labels = ("pcf_blocker_skip", "multi_shadow_map")
-    assert {(s, label, EVERYTHING) for s in ("moving_blocker", "a6_empty") for label in labels} <= found
+    assert {(s, label, EVERYTHING) for s in ("moving_blocker", "bare") for label in labels} <= found
     assert ("moving_blocker", "pcf_blocker_skip", "filter of pixels") in found
-    assert ("a6_empty", "multi_shadow_map", "light depth map and comparisons") in found
+    assert ("bare", "multi_shadow_map", "light depth map and comparisons") in found
     assert not any(row["reason"] == UNASKED for row in rows), "what a method never does saves nothing"
     for row in rows:
         assert float(row["ms_with"]) > 0.0 and float(row["ms_without"]) > 0.0 and int(row["count"]) > 0
@@ -71,7 +75,7 @@ def test_every_skip_has_a_row_and_changes_no_image(table: Path) -> None:
 
 
 def test_a_still_view_keeps_its_g_buffer(table: Path) -> None:
-    rows = [row for row in read_table(table) if row["scene"] == "a6_empty" and row["what"] == "g-buffer"]
+    rows = [row for row in read_table(table) if row["scene"] == "bare" and row["what"] == "g-buffer"]
     assert rows and all(row["reason"] == UNCHANGED for row in rows)
 
 
@@ -84,7 +88,7 @@ def test_text_and_report_show_every_row(table: Path) -> None:
 
 
 def test_resuming_keeps_complete_labels_alone(table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    savings = load(tmp_path)
+    savings = load(table.parents[1])
     out = tmp_path / "out"
     out.mkdir()
     for name in ("config.yaml", "environment.json"):
@@ -99,7 +103,7 @@ def test_resuming_keeps_complete_labels_alone(table: Path, tmp_path: Path, monke
 
     monkeypatch.setattr(measured, "measure", measure)
     run_savings(savings, out, PLUGINS, threads=1, resume=True)
-    assert asked == [("a6_empty", "multi_shadow_map")]
+    assert asked == [("bare", "multi_shadow_map")]
     assert len(read_table(out / "savings.csv")) < len(lines) - 1
     run_savings(savings, out, PLUGINS, threads=1)
     assert len(asked) == 1 + 4
@@ -148,7 +152,7 @@ def load_point(folder: Path, techniques: str) -> Savings:
     tail = tail.partition("\n")[2]
     return load(
         folder,
-        f"{head}techniques: {techniques}\n{tail}".replace("{scenes}/a6_empty", "point").replace(
+        f"{head}techniques: {techniques}\n{tail}".replace("bare", "point").replace(
             "{scenes}/moving_blocker.yaml, ", ""
         ),
     )
@@ -162,7 +166,7 @@ def test_a_scene_without_techniques_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("a6_empty", "no_such"), "no scene file"),
+        (("bare", "no_such"), "no scene file"),
         (("multi_shadow_map", "no_such"), "no technique 'no_such'"),
         (("repeats: 1", "repeats: 0"), "repeats"),
     ],
