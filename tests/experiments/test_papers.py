@@ -11,6 +11,7 @@ from experiments.config.analysis import load_analysis
 from experiments.config.convergence import Convergence, Estimates, load_convergence
 from experiments.config.kinds import kind_of
 from experiments.config.schema import Experiment, load_experiment
+from experiments.config.savings import load_savings
 from experiments.config.stability import load_stability
 from experiments.config.sweep import load_sweep
 
@@ -30,6 +31,8 @@ def test_experiment_file_loads(file: Path) -> None:
         assert len(sweep.scenes) >= 5 and len(sweep.runs) >= len(load_all())
         for scene in sweep.scenes:
             assert scene.experiment.reference is not None and max(scene.experiment.frames) < 100  # all have so many
+    elif kind == "savings":
+        assert load_savings(file, [], load_all()).experiments
     elif kind == "stability":
         assert load_stability(file, [], load_all()).cases
     else:
