@@ -10,8 +10,8 @@ from algorithms.plugins import load_all
 from experiments.config.analysis import load_analysis
 from experiments.config.convergence import Convergence, Estimates, load_convergence
 from experiments.config.kinds import kind_of
-from experiments.config.schema import Experiment, load_experiment
 from experiments.config.savings import load_savings
+from experiments.config.schema import Experiment, load_experiment
 from experiments.config.stability import load_stability
 from experiments.config.sweep import load_sweep
 
