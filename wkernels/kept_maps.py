@@ -76,7 +76,7 @@ class KeptMaps:
         self._start = self._epoch = frame.count
         self._begun, self._taken = (-1, []), (-1, range(self.maps))
 
-    def receivers(self, frame: Session) -> Bounds:
+    def _receivers(self, frame: Session) -> Bounds:
         """Boxes of all receivers, those of movers wherever they have been so far.
 
         Where a mover leaves its box, that grows by half its size more than it must, but not beyond the scene.
@@ -165,7 +165,7 @@ class KeptMaps:
         """
         if not draws:
             return True
-        receivers, casters = self.receivers(frame), frame.geometry.bounds(casters=True, moving=False)
+        receivers, casters = self._receivers(frame), frame.geometry.bounds(casters=True, moving=False)
         for index, layers in draws:
             # the first ones as one product: they are asked for in as many frames as it takes to draw them
             begins = index < self.maps
