@@ -16,7 +16,7 @@ from fake_engine import FakeEngine, make_experiment, make_run
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from experiments import summary
+from experiments import metrics, summary
 from experiments.explain import explain
 from experiments.images import read_exr, write_exr
 from experiments.report import recompute_metrics, write_report
@@ -144,6 +144,17 @@ def test_recomputing_reads_the_images_and_only_them(copy: Path) -> None:
     assert (
         store.environment()["metrics"]["flicker"] == 0
     )  # cannot be computed from single images, so it is still the old one
+
+
+def test_a_page_says_which_metrics_are_of_another_version(copy: Path) -> None:
+    assert "is that of version" not in write_report(copy).read_text()
+    store = Store(copy)
+    old = {name: version for name, version in store.environment()["metrics"].items() if name not in metrics.SCORES}
+    store.update_environment(metrics={**old, "flip": 0})
+    text = write_report(copy).read_text()
+    assert "FLIP is that of version 0; this program has version 1." in text and "Older than the scores" in text
+    recompute_metrics(copy)
+    assert "is that of version" not in (text := write_report(copy).read_text()) and "Older than" not in text
 
 
 # ---- Page and plots ----
