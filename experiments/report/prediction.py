@@ -31,6 +31,7 @@ _SHORT = {
 }
 assert set(TITLES) == set(_SHORT) == set(PREDICTORS)
 COLUMNS = 3
+MOST_IN_LEGEND = 12  # more do not fit beside the panels
 
 
 def scatter(frames: pd.DataFrame, found: list[Correlation], look: Look) -> Figure:
@@ -85,6 +86,11 @@ def _title(by: dict[tuple[str, str], Correlation], predictor: str) -> str:
 def _legend(
     axes: Axes, labels: list[str], predictors: list[str], by: dict[tuple[str, str], Correlation], look: Look
 ) -> None:
+    if len(labels) > MOST_IN_LEGEND:
+        axes.text(
+            0.0, 0.9, f"{len(labels)} labels: colours and marks as in the other plots,\nnumbers in the table below"
+        )
+        return
     axes.set_title("rank correlation within each label", fontsize=9)
     for label in labels:
         parts = [f"{_SHORT[p]} {_number(by[(label, p)].spearman)}" for p in predictors if (label, p) in by]
