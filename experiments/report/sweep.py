@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -54,6 +55,7 @@ def write_sweep_report(folder: Path) -> Path:
         scenes=[_scene(folder, name, table[table["scene"] == name], tables, run["baseline"]) for name in names],
         overall=_over_scenes(table, names),
         overall_chart=_overall_chart(table[table["scene"] == OVERALL], run["baseline"]),
+        overall_plot=_plot(folder, OVERALL),
         overall_advice=[row for row in tables["recommendation"] if row["scene"] == OVERALL],
         points=int((table["scene"] != OVERALL).sum()),
         techniques=table["technique"].nunique(),
@@ -102,12 +104,19 @@ def _scene(
             by="technique",
             front=[_yes(value) for value in table["on_front"]],
         ),
+        "plot": _plot(folder, name),
         "link": f"{name}/report.html" if (store.out / "report.html").is_file() else "",
         "rows": [{**row, "front": _yes(row.get("on_front"))} for row in table.to_dict("records")],
         "recommended": own["recommendation"],
         "equal_time": _places(own["equal_time"], "budget_label", "budget_ms"),
         "equal_error": _places(own["equal_error"], "target_label", "target_rmse"),
     }
+
+
+def _plot(folder: Path, name: str) -> str:
+    """The sweep's own plot of a scene, for readers without scripts, as a data URL; empty where there is none."""
+    path = folder / "plots" / f"pareto_{name}.png"
+    return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii") if path.is_file() else ""
 
 
 def _yes(value: Any) -> bool:
