@@ -65,10 +65,14 @@ def differences(whole: Path, parts: Path) -> list[str]:
     for table in Store.tables:
         kept, found = ([without_times(row) for row in store.rows(table)] for store in (one, other))
         out += [f"{table}.csv: {len(found)} rows, not {len(kept)}"] * (len(kept) != len(found))
-        out += [f"{table}.csv, row {i}: {b}, not {a}" for i, (a, b) in enumerate(zip(kept, found, strict=False)) if a != b]
+        out += [
+            f"{table}.csv, row {i}: {b}, not {a}" for i, (a, b) in enumerate(zip(kept, found, strict=False)) if a != b
+        ]
         lines = [(folder / f"{table}.csv").read_bytes() for folder in (whole, parts)]
         out += [f"{table}.csv: head"] * (lines[0].splitlines()[:1] != lines[1].splitlines()[:1])
-    names = [sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()) for folder in (whole, parts)]
+    names = [
+        sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()) for folder in (whole, parts)
+    ]
     out += [f"files: {set(names[0]) ^ set(names[1])}"] * (names[0] != names[1])
     for name in names[0]:
         if name.endswith(".exr") and (parts / name).is_file():
@@ -162,9 +166,9 @@ def at_each_write(folder: Path) -> list[str]:
     """Kills before every replacement, flush and reservation of a file, and in the middle of every write."""
     forked(lambda: fake(folder / "whole"))
     found, point = [], 0
+    parts = folder / "parts"
     while True:
         point += 1
-        parts = folder / "parts"
         shutil.rmtree(parts, ignore_errors=True)
         killed, _ = forked(lambda point=point: _killed_at(point, lambda: fake(parts)))  # type: ignore[misc]
         if not killed:
