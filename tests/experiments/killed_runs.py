@@ -1,7 +1,8 @@
 """Runs that are killed (SIGKILL) and resumed, in children of a process that has compiled everything already.
 
     python tests/experiments/killed_runs.py KILLS SEED [FOLDER]    kill the real renderer at random moments
-    python tests/experiments/killed_runs.py --each-write [FOLDER]  kill at every write to the disk, torn lines included
+    python tests/experiments/killed_runs.py --each-write [STRIDE [FOLDER]]
+                                          kill at every STRIDE-th write to the disk, torn lines included; 1 is every one
 
 Prints what was killed where; ends with 1 if a resumed run differs from the uninterrupted one. A process of its own,
 because a fork of one with running threads may hang: nothing here writes an image before it forks.
@@ -21,9 +22,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import matplotlib.colors
 import numpy as np
+import OpenImageIO
 from fake_engine import FakeEngine, make_experiment, make_run
 
+import experiments.report
 from experiments.config.schema import Experiment, load_experiment
 from experiments.images import read_exr
 from experiments.runner import run
@@ -37,11 +41,11 @@ scene:
     - primitive: box
       size: [1, 0.4, 1]
       transform: {translate: [0, 1.2, 0]}
-      motion: {keyframes: [{frame: 0, translate: [0, 0, 0]}, {frame: 5, translate: [0.4, 0, 0]}]}
+      motion: {keyframes: [{frame: 0, translate: [0, 0, 0]}, {frame: 3, translate: [0.4, 0, 0]}]}
   lights:
     - {kind: rectangle, center: [0, 5, 0], edge_u: [1, 0, 0], edge_v: [0, 0, 1]}
-  path: {frames: 6, keyframes: [{frame: 0, eye: [0, 3, 5], target: [0, 0.5, 0]},
-                                {frame: 5, eye: [0.6, 3, 5], target: [0, 0.5, 0]}]}
+  path: {frames: 4, keyframes: [{frame: 0, eye: [0, 3, 5], target: [0, 0.5, 0]},
+                                {frame: 3, eye: [0.6, 3, 5], target: [0, 0.5, 0]}]}
 image: {width: 64, height: 48}
 reference: {samples: 64, every: 2}
 metrics: [rmse, flip, flicker]
@@ -51,6 +55,8 @@ techniques:
   - multi_shadow_map: {samples: 16, resolution: 128}
 repeats: 2
 """
+# what a run imports on its way would be imported in every child
+IMPORTED = (matplotlib.colors, OpenImageIO, experiments.report)
 TIMES = ("frame_ms", "shadow_ms", "fps", "frame_ms_q1", "frame_ms_q3", "shadow_ms_q1", "shadow_ms_q3", "ms")
 
 
@@ -141,7 +147,7 @@ def at_random(kills: int, seed: int, folder: Path) -> list[str]:
                 break
             done += 1
             rows = len(Store(parts).rows("frames"))
-            print(f"run {runs}, kill {done}: after {after:.3f} s of {whole_s:.3f}, {rows} of 18 rows")
+            print(f"run {runs}, kill {done}: after {after:.3f} s of {whole_s:.3f}, {rows} of 12 rows")
         found += [f"run {runs}: {what}" for what in differences(folder / "whole", parts)]
     print(f"{done} kills in {runs} runs")
     return found
@@ -162,20 +168,20 @@ def _compile_here(experiment: Experiment, folder: Path) -> None:
     engine.reference(0)
 
 
-def at_each_write(folder: Path) -> list[str]:
+def at_each_write(stride: int, folder: Path) -> list[str]:
     """Kills before every replacement, flush and reservation of a file, and in the middle of every write."""
     forked(lambda: fake(folder / "whole"))
-    found, point = [], 0
+    found, point, kills = [], 1, 0
     parts = folder / "parts"
     while True:
-        point += 1
         shutil.rmtree(parts, ignore_errors=True)
         killed, _ = forked(lambda point=point: _killed_at(point, lambda: fake(parts)))  # type: ignore[misc]
         if not killed:
             break
         forked(lambda: fake(parts))
         found += [f"write {point}: {what}" for what in differences(folder / "whole", parts)]
-    print(f"{point - 1} kills, one at each write")
+        point, kills = point + stride, kills + 1
+    print(f"{kills} kills, one in {stride} of about {kills * stride} writes")
     return found
 
 
@@ -202,8 +208,8 @@ def _killed_at(point: int, work: Callable[[], None]) -> None:
 def main(arguments: list[str]) -> int:
     with tempfile.TemporaryDirectory() as scratch:
         if arguments[0] == "--each-write":
-            folder = Path(arguments[1] if len(arguments) > 1 else scratch)
-            found = at_each_write(folder)
+            folder = Path(arguments[2] if len(arguments) > 2 else scratch)
+            found = at_each_write(int((*arguments, 1)[1]), folder)
         else:
             folder = Path(arguments[2] if len(arguments) > 2 else scratch)
             found = at_random(int(arguments[0]), int(arguments[1]), folder)
