@@ -204,14 +204,15 @@ class Store(ResultTables):
                 return False
             if failure["what"] in ("file", "reference") and here and not failure["label"]:
                 return False
-            if failure["what"] == "folder" and self._has_images(row):
-                if not self.raw(row["label"], "visibility", int(row[self.place])).is_file():
-                    return False
+            if failure["what"] == "folder" and not all(path.is_file() for path in self._images_of(row)):
+                return False
         return True
 
-    def _has_images(self, row: Mapping[str, str]) -> bool:
-        frames = self.environment()["run"].get("frames", [])
-        return bool(row["rmse"]) or int(row["frame"]) == (frames[-1] if frames else -1)
+    def _images_of(self, row: Mapping[str, str]) -> list[Path]:
+        """Raw images that there are where nothing was lost."""
+        frame, frames = int(row["frame"]), self.environment()["run"].get("frames", [])
+        reference = [self.raw(None, "visibility", frame)] if row["rmse"] else []
+        return [self.raw(row["label"], "visibility", frame), *reference] if reference or frame in frames[-1:] else []
 
     # ---- Record ----
 
@@ -284,8 +285,12 @@ class ConvergenceStore(Store):
     main = "convergence"
     place = "step"
 
-    def _has_images(self, row: Mapping[str, str]) -> bool:
-        return not row["over"] or int(row["step"]) in self.environment()["run"].get("steps", [])
+    def _images_of(self, row: Mapping[str, str]) -> list[Path]:
+        step, run = int(row["step"]), self.environment()["run"]
+        if row["over"] and step not in run.get("steps", []):
+            return []
+        shown = step if run.get("camera") == "path" else 1
+        return [self.raw(row["label"], "visibility", step), self.raw(None, "visibility", shown)]
 
 
 def image_folder(label: str | None) -> str:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
 
 import numpy as np
@@ -70,3 +71,16 @@ def test_a_forked_child_has_workers_of_its_own() -> None:
         finally:
             os._exit(status)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+def test_a_worker_that_died_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    team, sums, deaths = Team(), wp.zeros((ROWS, 3), dtype=float, device="cpu"), []
+    monkeypatch.setattr(threading, "excepthook", deaths.append)
+    team.run(record(sums, 7), ROWS, 3)
+    # what the thread runs is not there any more: it ends with an exception when it looks for work again
+    del team._workers[0]._serve
+    for _ in range(50):
+        team.run(record(sums, 7), ROWS, 3)
+        time.sleep(1e-3)
+    assert len(deaths) == 1
+    np.testing.assert_array_equal(sums.numpy(), np.tile(51.0 * np.arange(ROWS)[:, None], 3))
