@@ -28,6 +28,7 @@ __all__ = [
     "r2",
     "random_set",
     "rotate_2d",
+    "stratified_set",
     "uniform_01",
 ]
 
@@ -35,6 +36,7 @@ HALTON_BASES = (2, 3, 5)
 PLASTIC_NUMBER = 1.324717957244746  # real root of x^3 = x + 1
 R2_STEPS = (1.0 / PLASTIC_NUMBER, 1.0 / PLASTIC_NUMBER**2, 0.5 * (5.0**0.5 - 1.0))
 POISSON_PERIOD = 4096  # points before the blue-noise sequence repeats, shifted
+_STRATA_SIDE = 8  # of the grid of ``stratified_set``, a power of 2
 _POOL_SIDE = 256  # the sequence is drawn from one candidate in each cell of a grid of this size
 
 
@@ -169,10 +171,58 @@ def _best_candidate_sequence(seed: int, length: int) -> np.ndarray:
     return points
 
 
+def stratified_set(n: int, seed: int | None = 0, dims: int = 2, start: int = 0) -> np.ndarray:
+    """Jittered strata: one random point in each cell of an 8 x 8 grid a lap, cells in the order of a Bayer matrix.
+
+    Every 4, 16 and 64 points from a multiple of 4, 16 or 64 on visit each of as many coarser cells once. Each lap has
+    an order of its own (another cell first, axes mirrored alike) and jitter of its own. A third dimension is the
+    golden-ratio recurrence.
+
+    Args:
+        n: Points, at least 1.
+        seed: Chooses the jitter.
+        dims: 1 to 3. The first two columns do not depend on it.
+        start: Index of the first point, at least 0.
+
+    Returns:
+        float64 (n, dims) in [0, 1).
+
+    Raises:
+        InputError: A number is out of range.
+
+    Source: Cook 1986, "Stochastic sampling in computer graphics"; the order is Bayer's of 1973.
+    """
+    _check(n, dims, start, seed)
+    index = np.arange(start, start + n)
+    lap, place = np.divmod(index, _STRATA_SIDE**2)
+    laps = np.arange(lap[0], lap[-1] + 1)
+    drawn = [np.random.default_rng([seed or 0, 0x57A7, int(k)]) for k in laps]
+    flips = np.stack([rng.integers(0, _STRATA_SIDE, 2) for rng in drawn])
+    jitter = np.stack([rng.random((_STRATA_SIDE**2, 2)) for rng in drawn])
+    cell = np.stack(_bayer_cell(place), axis=1) ^ flips[lap - lap[0]]
+    planar = (cell + jitter[lap - lap[0], place]) / _STRATA_SIDE
+    third = np.mod(0.5 + index * R2_STEPS[2], 1.0)
+    return np.column_stack([np.minimum(planar, np.nextafter(1.0, 0.0)), third])[:, :dims]
+
+
+def _bayer_cell(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Column and row of the cell that the Bayer matrix of ``_STRATA_SIDE`` visits at a place in its order."""
+    column, row = np.zeros_like(place), np.zeros_like(place)
+    half = _STRATA_SIDE // 2
+    while half:
+        place, digit = np.divmod(place, 4)
+        # of four cells the two on one diagonal come first
+        column += half * (digit & 1)
+        row += half * ((digit & 1) ^ (digit >> 1))
+        half //= 2
+    return column, row
+
+
 LIGHT_SETS: dict[str, Callable[[int, int, int, int | None], np.ndarray]] = {
     "halton": halton,
     "r2": lambda n, dims, start, seed: r2(n, start, dims, seed),
     "poisson_disc": lambda n, dims, start, seed: poisson_disc_set(n, seed, dims, start),
+    "stratified": lambda n, dims, start, seed: stratified_set(n, seed, dims, start),
     "random": lambda n, dims, start, seed: random_set(n, seed, dims, start),
 }
 
@@ -181,7 +231,7 @@ def light_set(kind: str, n: int, dims: int = 3, start: int = 0, seed: int | None
     """Points ``start`` to ``start + n - 1`` of the set called ``kind``, as ``Light.sample`` takes them.
 
     Args:
-        kind: A key of ``LIGHT_SETS``: ``halton``, ``r2``, ``poisson_disc`` or ``random``.
+        kind: A key of ``LIGHT_SETS``: ``halton``, ``r2``, ``poisson_disc``, ``stratified`` or ``random``.
         n: Points, at least 1.
         dims: 1 to 3.
         start: Index of the first point, at least 0.

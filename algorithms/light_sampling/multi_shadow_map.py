@@ -101,7 +101,7 @@ class MultiShadowMap(Technique):
         """Those of every map technique, and the light's points."""
 
         samples: int = setting(64, "points on the light", unit="maps per frame", source="Heckbert 1997", ge=1, le=10**5)
-        sample_set: Literal["halton", "r2", "poisson_disc", "random"] = setting(
+        sample_set: Literal["halton", "r2", "poisson_disc", "stratified", "random"] = setting(
             "halton", "point set on the light", unit="name", source="Scherzer 2009, sec. 4"
         )
 

@@ -263,3 +263,17 @@ def test_rotation_equals_complex_multiplication() -> None:
     launch(rotate_all, 500, [wp.array(v, dtype=wp.vec2), wp.array(angle, dtype=float)], [out])
     turned = (v[:, 0] + 1j * v[:, 1]) * np.exp(1j * angle)
     np.testing.assert_allclose(out.numpy(), np.stack([turned.real, turned.imag], axis=1), rtol=1e-5, atol=1e-5)
+
+
+def test_strata_are_visited_once_a_lap_and_coarser_ones_in_turn() -> None:
+    points = sampling.stratified_set(5 * 64, seed=3)
+    for cells, side in ((4, 2), (16, 4), (64, 8)):
+        for begin in range(0, len(points), cells):
+            column, row = (points[begin : begin + cells] * side).astype(int).T
+            assert len(set(zip(column, row, strict=True))) == cells, (side, begin)
+    orders = (points.reshape(5, 64, 2) * 8).astype(int)
+    assert len({order.tobytes() for order in orders}) > 1, "laps must not repeat each other's order"
+    inside = np.mod(points * 8, 1.0)
+    assert np.abs(inside.mean(axis=0) - 0.5).max() < 0.07 and inside.min() < 0.02 and inside.max() > 0.98
+    one, two = sampling.stratified_set(64, seed=1), sampling.stratified_set(64, seed=2)
+    assert (one != two).all()
