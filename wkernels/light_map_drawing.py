@@ -70,6 +70,7 @@ def draw_light_map(
     options: MapOptions = PLAIN_MAP,
     blocks: CasterBlocks | None = None,
     everything: bool = False,
+    casters: str = "all",
 ) -> tuple[LightMap, int]:
     """Draws a map; a new struct each time, so that the struct itself stands for its content.
 
@@ -84,6 +85,7 @@ def draw_light_map(
         options: How it is stored and drawn; drawn in any other way than in passes only with ``blocks``.
         blocks: Of the casters; what lies beside a layer's view is not drawn there.
         everything: Whether all of it is drawn all the same.
+        casters: Which of them, a key of ``Geometry.casters``; blocks are of ``all``, others are drawn in passes.
 
     Returns:
         The map, and how many pairs of a block of casters and a layer were left out.
@@ -121,17 +123,18 @@ def draw_light_map(
 
     needed = None
     # a single view mostly sees most of the casters: finding out which it does not costs more than drawing them
-    if blocks is not None and (options.drawing != "passes" or (layers > 1 and not everything)):
+    drawing = options.drawing if casters == "all" else "passes"
+    if casters == "all" and blocks is not None and (options.drawing != "passes" or (layers > 1 and not everything)):
         needed = blocks.pull()
     beside = rasteriser.draw_many(
         geometry.points_ws,
-        geometry.caster_indices,
+        geometry.casters[casters],
         device_views,
         images,
         None if owner is None else [owner] * layers,
         cull,
         blocks=needed,
-        drawing=options.drawing,
+        drawing=drawing,
         everything=everything,
         drawn=finish,
     )

@@ -41,19 +41,26 @@ class MapShelf:
         self._bytes = 0
 
     def pull(
-        self, frame: Session, views: Sequence[HostView], light_ws: np.ndarray, slot: Hashable, cull: int, tagged: bool
+        self,
+        frame: Session,
+        views: Sequence[HostView],
+        light_ws: np.ndarray,
+        slot: Hashable,
+        cull: int,
+        tagged: bool,
+        casters: str,
     ) -> LightMap:
         """The map of these views; see ``Session.light_map``. Beyond the budget all new slots share one map."""
         resolution = views[0].width
         options: MapOptions = getattr(frame.projection, "map_options", PLAIN_MAP)
         layout = lay_out(options.storage, len(views), resolution)
-        key: Hashable = ("map", slot, resolution, cull, tagged)
+        key: Hashable = ("map", slot, resolution, cull, tagged, casters)
         if key not in self._kept and self._bytes + 4 * layout.texels > MAP_BUDGET_BYTES:
-            key = ("map", "shared", resolution, cull, tagged)
+            key = ("map", "shared", resolution, cull, tagged, casters)
         triangle = frame.buffer("map triangles", (resolution, layout.pitch), wp.int32) if tagged else None
 
         def build(old: LightMap | None) -> LightMap:
-            way = (self._rasteriser, cull, triangle, options, self._blocks, not frame.skips)
+            way = (self._rasteriser, cull, triangle, options, self._blocks, not frame.skips, casters)
             made, beside = draw_light_map(old, self._geometry, views, light_ws, *way)
             self._bytes += 4 * made.depth.size - self._kept.get(key, 0)
             self._kept[key] = 4 * made.depth.size

@@ -19,6 +19,7 @@ from wkernels.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lane
 from wkernels.light_map import Bias
 from wkernels.light_motion import ageing_window, displacement
 from wkernels.mesh_motion import pull_mesh_motion
+from wkernels.mover_shadow import add_mover_shadows, has_own_map
 from wkernels.receiver_lanes import lane_views
 from wkernels.shadow_buffer import BILINEAR, LINEAR, NEAREST, TEXEL_TYPES, storage_of
 from wkernels.shadow_buffer_lanes import update_shadow_buffer_lanes
@@ -43,6 +44,9 @@ class StepParams(Protocol):
     mover_decrement: float
     mover_surfaces: str
     mover_samples: float
+    mover_map: str
+    mover_taps: int
+    mover_overlap: str
     ageing: str
     age_factor: float
     age_displacement: float
@@ -64,6 +68,7 @@ class ShadowStep:
         psi: Hidden share of the light, float32.
         error: Its standard error.
         half_width: The neighbourhood that each pixel asks for, ``update_shadow_buffer``.
+        apart: Whether moving casters have a map of their own and psi is of the others alone.
     """
 
     gbuffer: GBuffer
@@ -71,6 +76,7 @@ class ShadowStep:
     psi: wp.array
     error: wp.array
     half_width: wp.array
+    apart: bool
 
 
 def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowStep, UpdateSettings]:
@@ -87,8 +93,10 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
     out.bias, out.storage = p.device_bias, storage_of(p.buffer, p.cap)
     out.light_size = 2.0 * np.tan(0.5 * frame.light.size) if frame.light.is_directional else frame.light.size
     out.has_history = int(history.valid)
+    apart = has_own_map(frame, p)
     out.has_movers = int(
-        p.movers != "ignore"
+        not apart
+        and p.movers != "ignore"
         and (frame.geometry.moving or not frame.leave_out("tags of moving casters", "nothing moves"))
     )
     out.relative_epsilon, out.texel_steps = out.storage.rounding, HISTORY[p.history]
@@ -100,7 +108,7 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
     if history.previous_index is not None:
         moved = displacement(frame.light, frame.lights.at(history.previous_index))
         out.window = ageing_window(moved, p.ageing, p.age_factor, p.age_displacement)
-    return ShadowStep(gbuffer, history, psi, error, half_width), out
+    return ShadowStep(gbuffer, history, psi, error, half_width, apart), out
 
 
 def add_sample(frame: Session, step: ShadowStep, settings: UpdateSettings, p: StepParams) -> None:
@@ -113,6 +121,7 @@ def add_sample(frame: Session, step: ShadowStep, settings: UpdateSettings, p: St
         slot="sample of the frame",
         cull=p.cull,
         tag_moving_casters=bool(settings.has_movers),
+        casters="still" if step.apart else "all",
     )
     gbuffer, history, shape = step.gbuffer, step.history, step.psi.shape
     with frame.timed("shadow buffer"):
@@ -127,3 +136,9 @@ def add_sample(frame: Session, step: ShadowStep, settings: UpdateSettings, p: St
             frame.launch(update_shadow_buffer_lanes, runs, [*flat, *inputs], outputs)
         else:
             frame.launch(UPDATE[TEXEL_TYPES[p.buffer]], shape, inputs, outputs)
+
+
+def end_step(frame: Session, step: ShadowStep, p: StepParams, visibility_out: wp.array) -> None:
+    """Adds to what is shown what only the step knows of: the shadows of movers that have a map of their own."""
+    if step.apart:
+        add_mover_shadows(frame, step.gbuffer, p, visibility_out, step.error)

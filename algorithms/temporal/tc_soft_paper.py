@@ -52,7 +52,7 @@ from wkernels.filtering import check_tap_count, pull_taps
 from wkernels.frame import Session as Frame
 from wkernels.lanes import flat_floats, runs_per_row, uses_lanes
 from wkernels.neighbourhood_filter import filter_neighbourhood, filter_neighbourhood_lanes, pull_opposite_taps
-from wkernels.shadow_buffer_step import add_sample, begin_step
+from wkernels.shadow_buffer_step import add_sample, begin_step, end_step
 from wkernels.shadow_buffer_update import START_PCSS, START_SAMPLE
 
 
@@ -166,4 +166,5 @@ class TcSoftPaper(Technique):
                 frame.launch(filter_neighbourhood_lanes, runs, [*images, *options], [visibility])
             else:
                 frame.launch(filter_neighbourhood, shape, [gbuffer, *filtered, *options], [visibility])
+        end_step(frame, step, p, visibility)
         return visibility

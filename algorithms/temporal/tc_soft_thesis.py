@@ -50,7 +50,7 @@ from wkernels.lanes import flat_floats, runs_per_row, uses_lanes
 from wkernels.neighbourhood_blend import BLEND, BlendSettings, blend_neighbourhood_lanes
 from wkernels.neighbourhood_filter import pull_opposite_taps
 from wkernels.shadow_buffer import TEXEL_TYPES
-from wkernels.shadow_buffer_step import ShadowStep, add_sample, begin_step
+from wkernels.shadow_buffer_step import ShadowStep, add_sample, begin_step, end_step
 from wkernels.shadow_buffer_update import START_SAMPLE, START_SEARCH
 
 
@@ -169,6 +169,7 @@ class TcSoftThesis(Technique):
         settings.counts_tests = int(p.blocker_mean == "frames")
         add_sample(frame, step, settings, p)
         self._blend(frame, step, visibility)
+        end_step(frame, step, p, visibility)
         return visibility
 
     def _width_error(self, frame: Frame) -> float:
