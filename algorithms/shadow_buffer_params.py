@@ -96,6 +96,21 @@ class ShadowBufferParams(MapParams):
     mover_samples: float = setting(
         16.0, "largest n on surfaces that are followed by their own motion", unit="samples", ge=1.0, le=1e6
     )
+    mover_map: Literal["none", "centre"] = setting(
+        "none",
+        "a second map at the light's centre, of moving casters alone: soft shadows of it darken what still casters "
+        "leave, whose history no mover touches; movers has no effect then",
+        unit="name",
+        source="Scherzer 2009, sec. 5",
+    )
+    mover_taps: int = setting(
+        16, "taps of the blocker search and of the filter in that map", unit="taps", ge=1, le=4096
+    )
+    mover_overlap: Literal["product", "max"] = setting(
+        "product",
+        "what is hidden where both hide some: as if by chance, or as if one mask lay in the other",
+        unit="name",
+    )
     ageing: Literal["none", "frames", "displacement", "balanced"] = setting(
         "balanced",
         "what is remembered loses weight in every frame in which the light moves: by age_factor; by exp(-displacement "

@@ -14,6 +14,8 @@ from wkernels.frame_result import TURNED_AWAY
 from wkernels.geometry import Bounds
 from wkernels.light_views import scene_views
 from wkernels.map_shelf import BESIDE
+from wkernels.mover_shadow import NO_MOVERS
+from wkernels.shadow_buffer_step import SETTLED
 from wkernels.views import HostView, eye_view
 
 if TYPE_CHECKING:
@@ -62,8 +64,9 @@ def own_omissions(scene: Scene, light: int, technique: Any, params: Mapping[str,
         "its kernel has one tap": params.get("taps") != 1,
         "no caster moves": any(mesh.moving and mesh.casts for mesh in scene.meshes),
     }
+    unused = {NO_MOVERS: params.get("mover_map", "none") == "none", SETTLED: params.get("stop_error", 0.0) == 0.0}
     for what, why in getattr(technique, "may_leave_out", ()):
-        if not ruled_out.get(why, False):
+        if not ruled_out.get(why, False) and not unused.get((what, why), False):
             yield what, why
 
 

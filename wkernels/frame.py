@@ -342,6 +342,7 @@ class Session(LeavesOut):
         cull: int = CULL_NONE,
         tag_moving_casters: bool = False,
         jitter: Jitter | None = None,
+        casters: str = "all",
     ) -> LightMap:
         """The light's linear depth map, seen from one sample of the light.
 
@@ -352,22 +353,22 @@ class Session(LeavesOut):
             cull: Which faces are left out, as seen from the light.
             tag_moving_casters: Negative depth where the nearest caster moves.
             jitter: Shift and turn of whatever views the projection gives; what changes it draws the map anew.
+            casters: Which of them, a key of ``Geometry.caster_sets``; the views are those of all.
         """
         sample = self.light.centre if light_ws is None else light_ws
-        receivers = self.geometry.bounds(receivers=True)
-        casters = self.geometry.bounds(casters=True)
+        receivers, box = self.geometry.bounds(receivers=True), self.geometry.bounds(casters=True)
         if receivers.empty:
-            receivers = casters
+            receivers = box
         if receivers.empty:  # no meshes at all: any view will do
             receivers = Bounds()
             receivers.add(np.zeros((1, 3)))
-        views = self.look_from_light(sample, receivers, casters, resolution)
+        views = self.look_from_light(sample, receivers, box, resolution)
         if jitter is not None:
             views = [jittered_view(view, jitter) for view in views]
         shown = light_ws is None or self.light_views is None
         if shown:
             self.light_views = (views, sample)
-        out = self._maps.pull(self, views, sample, slot, cull, tag_moving_casters)
+        out = self._maps.pull(self, views, sample, slot, cull, tag_moving_casters, casters)
         if shown:
             self.read_map = out
         return out

@@ -61,7 +61,7 @@ class Bounds:
 
 
 class Geometry:
-    """All meshes of a scene in one set of arrays, casting meshes first.
+    """All meshes of a scene in one set of arrays, casting meshes first, and of these the ones that stand still.
 
     World positions are stored minus ``origin_ws`` (float64, about the middle of the scene), so that world offsets of
     1e6 cost nothing; ``_ws`` on the device means this rebased world.
@@ -71,6 +71,7 @@ class Geometry:
         indices: int32, shape (3 T,); the first ``3 * caster_triangles`` belong to casting meshes.
         triangle_normal_ws: vec3, shape (T,), unit.
         triangle_mesh: int32, shape (T,).
+        caster_sets: int32 arrays like ``indices``: of casting meshes ``all``, the ``still`` or the ``moving`` ones.
         mesh_flags: int32, shape (M,): CASTS | RECEIVES | MOVES.
         mesh_diffuse: vec3, shape (M,).
         moving, casters_move: Whether any mesh moves, and whether any does that casts.
@@ -82,7 +83,7 @@ class Geometry:
         self.scene = scene
         self.device = device
         self.threads = threads
-        self.meshes: list[Mesh] = sorted(scene.meshes, key=lambda mesh: not mesh.casts)
+        self.meshes: list[Mesh] = sorted(scene.meshes, key=lambda mesh: (not mesh.casts, mesh.moving))
         self.version = 0
         self._frame: int | None = None
         self._poses: dict[int, np.ndarray] = {}
@@ -107,11 +108,18 @@ class Geometry:
         self.indices = upload([f.ravel() for f in faces], wp.int32, "int32")
         self.triangles = sum(sizes)
         self.caster_triangles = sum(n for n, mesh in zip(sizes, self.meshes, strict=True) if mesh.casts)
+        self.still_triangles = sum(n for n, m in zip(sizes, self.meshes, strict=True) if m.casts and not m.moving)
         ends = np.cumsum([0, *sizes])
         moving = [(ends[i], ends[i + 1]) for i, mesh in enumerate(self.meshes) if mesh.moving]
         self.moving_triangles = wp.array(np.array(moving, np.int32).reshape(-1, 2), dtype=wp.vec2i, device=device)
         # Warp cannot slice an array of no elements, which a scene without meshes has
         self.caster_indices = self.indices[: 3 * self.caster_triangles] if self.triangles else self.indices
+        still, end = 3 * self.still_triangles, 3 * self.caster_triangles
+        self.caster_sets = {"all": self.caster_indices, "still": self.caster_indices, "moving": self.caster_indices}
+        if self.triangles:
+            # a slice must not begin at the end, not even an empty one
+            moves = slice(still, end) if still < end else slice(0, 0)
+            self.caster_sets |= {"still": self.indices[:still], "moving": self.indices[moves]}
         self.triangle_mesh = upload([np.repeat(np.arange(len(sizes)), sizes)], wp.int32, "int32")
         self.mesh_flags = wp.array(np.array(flags, dtype=np.int32), dtype=wp.int32, device=device)
         self.mesh_diffuse = wp.array(diffuse, dtype=wp.vec3, device=device)
@@ -145,6 +153,12 @@ class Geometry:
             self.version += 1
         if moved:
             self._update_normals()
+
+    def boxes(self, *, moving: bool) -> np.ndarray:
+        """Corners of the boxes of the casting meshes that move, or of those that do not, (n, 8, 3), rebased world."""
+        chosen = [b for m, b in zip(self.meshes, self._boxes, strict=True) if m.casts and m.moving == moving]
+        held = [box.corners for box in chosen if not box.empty]
+        return np.array(held).reshape(-1, 8, 3)
 
     def bounds(self, *, casters: bool = False, receivers: bool = False, moving: bool | None = None) -> Bounds:
         """Box of the casting or receiving meshes (or both) at the current frame, rebased world.

@@ -19,6 +19,9 @@ from wkernels.views import HostView
 if TYPE_CHECKING:
     from wkernels.frame import Session
 
+MOVING = {"all": None, "still": False, "moving": True}
+"""``Geometry.bounds``' argument for each key of ``Geometry.caster_sets``."""
+
 BESIDE = "blocks of casters in light views", "they lie beside the view"
 MAP_BUDGET_BYTES = 512 * 2**20  # maps of many light samples are kept for later frames up to this much memory
 
@@ -49,21 +52,29 @@ class MapShelf:
         self._bytes = 0
 
     def pull(
-        self, frame: Session, views: Sequence[HostView], light_ws: np.ndarray, slot: Hashable, cull: int, tagged: bool
+        self,
+        frame: Session,
+        views: Sequence[HostView],
+        light_ws: np.ndarray,
+        slot: Hashable,
+        cull: int,
+        tagged: bool,
+        casters: str,
     ) -> LightMap:
         """The map of these views; see ``Session.light_map``. Beyond the budget all new slots share one map."""
         resolution = views[0].width
         options: MapOptions = getattr(frame.projection, "map_options", PLAIN_MAP)
         layout = lay_out(options.storage, len(views), resolution)
-        key: Hashable = ("map", slot, resolution, cull, tagged)
+        key: Hashable = ("map", slot, resolution, cull, tagged, casters)
         if key not in self._kept and self._bytes + 4 * layout.texels > MAP_BUDGET_BYTES:
-            key = ("map", "shared", resolution, cull, tagged)
+            key = ("map", "shared", resolution, cull, tagged, casters)
         triangle = frame.buffer("map triangles", (resolution, layout.pitch), wp.int32) if tagged else None
 
         def build(old: LightMap | None) -> LightMap:
             way = (self._rasteriser, cull, triangle, options, self._blocks, not frame.may_leave_out(*BESIDE))
-            draws = may_see(views, self._geometry.bounds(casters=True)) or not frame.leave_out(*UNDRAWN, len(views))
-            made, beside = draw_light_map(old, self._geometry, views, light_ws, *way, draws=draws)
+            box = self._geometry.bounds(casters=True, moving=MOVING[casters])
+            draws = may_see(views, box) or not frame.leave_out(*UNDRAWN, len(views))
+            made, beside = draw_light_map(old, self._geometry, views, light_ws, *way, draws=draws, casters=casters)
             self._empty.pop(key, None)
             if not draws:
                 self._empty[key] = made

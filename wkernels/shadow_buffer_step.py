@@ -21,6 +21,7 @@ from wkernels.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lane
 from wkernels.light_map import Bias
 from wkernels.light_motion import ageing_window, displacement
 from wkernels.mesh_motion import pull_mesh_motion
+from wkernels.mover_shadow import add_mover_shadows, has_own_map
 from wkernels.own_umbra import pull_light_corners
 from wkernels.receiver_lanes import lane_views
 from wkernels.shadow_buffer import BILINEAR, LINEAR, NEAREST, TEXEL_TYPES, storage_of
@@ -52,6 +53,9 @@ class StepParams(Protocol):
     mover_surfaces: str
     mover_samples: float
     turned_away: str
+    mover_map: str
+    mover_taps: int
+    mover_overlap: str
     ageing: str
     age_factor: float
     age_displacement: float
@@ -78,6 +82,7 @@ class ShadowStep:
         psi_depth: Hidden share of the light and linear eye depth, vec2; (0, 0) where nothing receives.
         error: Its standard error.
         half_width: The neighbourhood that each pixel asks for, ``update_shadow_buffer``.
+        apart: Whether moving casters have a map of their own and psi is of the others alone.
     """
 
     gbuffer: GBuffer
@@ -85,6 +90,7 @@ class ShadowStep:
     psi_depth: wp.array
     error: wp.array
     half_width: wp.array
+    apart: bool
 
 
 def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowStep, UpdateSettings]:
@@ -104,7 +110,10 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
     out.window.largest = p.largest_n if p.largest_n < FLOAT32_LIMIT else UNLIMITED
     out.window.agreement, out.window.least = p.agreement, p.least_window
     out.has_history = int(history.valid)
-    out.has_movers = int(p.movers != "ignore" and (frame.geometry.casters_move or not frame.leave_out(*UNTAGGED)))
+    apart = has_own_map(frame, p)
+    out.has_movers = int(
+        not apart and p.movers != "ignore" and (frame.geometry.casters_move or not frame.leave_out(*UNTAGGED))
+    )
     out.relative_epsilon, out.texel_steps = out.storage.rounding, HISTORY[p.history]
     out.half_widths = 0.5
     out.movers, out.decrement = int(MOVERS[p.movers]), p.mover_decrement
@@ -114,7 +123,7 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
     if history.previous_index is not None:
         moved = displacement(frame.light, frame.lights.at(history.previous_index))
         out.light_window = ageing_window(moved, p.ageing, p.age_factor, p.age_displacement)
-    return ShadowStep(gbuffer, history, psi_depth, error, half_width), out
+    return ShadowStep(gbuffer, history, psi_depth, error, half_width, apart), out
 
 
 def is_settled(frame: Session, step: ShadowStep, p: StepParams) -> bool:
@@ -130,6 +139,8 @@ def is_settled(frame: Session, step: ShadowStep, p: StepParams) -> bool:
         wp.copy(step.history.current, step.history.previous)
         return True
     return False
+
+
 def count_unsmoothed(frame: Session, step: ShadowStep) -> None:
     """Has the receivers counted that ask for no neighbourhood: their error is small, or their penumbra is."""
 
@@ -150,6 +161,7 @@ def add_sample(frame: Session, step: ShadowStep, settings: UpdateSettings, p: St
         slot="sample of the frame",
         cull=p.cull,
         tag_moving_casters=bool(settings.has_movers),
+        casters="still" if step.apart else "all",
     )
     gbuffer, history, shape = step.gbuffer, step.history, step.error.shape
     with frame.timed("shadow buffer"):
@@ -166,3 +178,9 @@ def add_sample(frame: Session, step: ShadowStep, settings: UpdateSettings, p: St
             frame.launch(update_shadow_buffer_lanes, runs, [*flat, *maps, *inputs], outputs)
         else:
             frame.launch(UPDATE[TEXEL_TYPES[p.buffer]], shape, [*maps, *inputs], outputs)
+
+
+def end_step(frame: Session, step: ShadowStep, p: StepParams, visibility_out: wp.array) -> None:
+    """Adds to what is shown what only the step knows of: the shadows of movers that have a map of their own."""
+    if step.apart:
+        add_mover_shadows(frame, step.gbuffer, p, visibility_out, step.error)

@@ -15,7 +15,7 @@ from algorithms.composition import compose
 from algorithms.plugins import find
 from algorithms.technique import MapParams
 from experiments.scenes.loader import load_scene
-from wkernels import neighbourhood_filter, shadow_buffer_step
+from wkernels import mover_shadow, neighbourhood_filter, shadow_buffer_step
 from wkernels.frame import Session
 from wkernels.gbuffer import GBuffer, is_back_lit
 from wkernels.geometry import RECEIVES, Geometry
@@ -276,6 +276,8 @@ OVER_TIME: list[tuple[str, dict[str, Any]]] = [
     ("tc_soft_paper", {"movers": "gradual", "start_weight": 4.0, "mover_surfaces": "own_motion"}),
     ("tc_soft_paper", {"movers": "at_once", "start": "sample"}),
     ("tc_soft_paper", {"ageing": "frames", "age_factor": 0.7}),
+    ("tc_soft_paper", {"mover_map": "centre"}),
+    ("tc_soft_thesis", {"mover_map": "centre", "mover_overlap": "max", "mover_taps": 9}),
     ("tc_soft_thesis", {}),
     ("tc_soft_thesis", {"start": "blur", "blocker_mean": "frames", "mover_surfaces": "own_motion"}),
     ("tc_soft_thesis", {"start": "blur", "movers": "at_once", "kernel": "poisson", "zero_blur": "rejected"}),
@@ -289,8 +291,8 @@ def test_a_shadow_buffer_in_lanes_remembers_what_the_plain_one_does(
 ) -> None:
     """Along a path with movers, disocclusion and history at fractions of a pixel."""
     plugin = find(name)
-    own_module = sys.modules[plugin.__module__]
-    modules = [neighbourhood_filter, shadow_buffer_step, *([own_module] if hasattr(own_module, "uses_lanes") else [])]
+    own = sys.modules[plugin.__module__]
+    modules = [neighbourhood_filter, shadow_buffer_step, mover_shadow, *([own] if hasattr(own, "uses_lanes") else [])]
     loaded = load_scene(f"configs/scenes/{scene}.yaml")
     running = {lanes: session(loaded, 150, 84) for lanes in (False, True)}
     technique = plugin(plugin.Params(resolution=256, **params))

@@ -101,7 +101,7 @@ def test_agreement_limits_n_at_edges_under_a_moving_eye_only(name: str, device: 
         held[callable(path)] = texels[texels[..., 1] > 0.0]
     psi = held[True][:, 0] / held[True][:, 1]
     inner = (psi > 0.2) & (psi < 0.8)
-    assert inner.sum() > 20 and held[True][inner, 1].min() < 8.0 and held[True][inner, 1].mean() < 20.0
+    assert inner.sum() > 20 and held[True][inner, 1].min() < 8.0 and (held[True][inner, 1] < 20.0).mean() > 0.25
     assert np.median(held[True][(psi < 1e-6) | (psi > 1.0 - 1e-6), 1]) == 24.0, "where all agree nothing is limited"
     assert (held[False][:, 1] == 24.0).all(), "a still eye interpolates nothing"
 
