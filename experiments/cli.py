@@ -1,6 +1,7 @@
 """The command line. Nothing heavy is imported here, so that ``wkernels --help`` answers at once.
 
-Exit status: 0 done, 2 the input is wrong (one message), 1 a defect (traceback in a log file), 130 interrupted.
+Exit status: 0 done, 2 the input is wrong (one message), 1 a defect (traceback in a log file) or a failure in a run
+(failures.csv says which; all else is there), 130 interrupted.
 """
 
 from __future__ import annotations

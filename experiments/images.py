@@ -113,7 +113,7 @@ def _write(path: Path, image: np.ndarray, kind: str, attributes: dict[str, str])
         # a PNG that did not fit counts as done, but has an error
         if (message := out.geterror()) or not done:
             raise OSError(errno.EIO, message.splitlines()[0] if message else "OpenImageIO gives no reason", str(path))
-        replace_file(part, path)
+        replace_file(part, path, now=False)
     except OSError as error:
         with contextlib.suppress(OSError):
             part.unlink()

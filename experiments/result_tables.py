@@ -139,8 +139,12 @@ class ResultTables:
             for name in self.tables:
                 self._tables[name] = Table(self.out / f"{name}.csv", self.tables[name])
                 self._tables[name].flush()
-        except OSError as error:
-            raise cannot_write(self.out, error) from error
+        except (OSError, InputError) as error:
+            for table in self._tables.values():
+                table.close()  # nothing is computed yet that could be lost
+            self._tables.clear()
+            self._lock.release()
+            raise error if isinstance(error, InputError) else cannot_write(self.out, error) from error
 
     def close(self) -> None:
         """Closes all tables; rows that the disk does not take are put into a spare folder (``spare``)."""
@@ -174,8 +178,8 @@ class ResultTables:
         Raises:
             InputError: As ``start_tables``.
         """
+        self.start_tables()
         try:
-            self.start_tables()
             yield
         except BaseException as error:
             self.close()

@@ -36,6 +36,9 @@ class Progress(Protocol):
         """Called before each piece of work that takes time, and at the end."""
 
 
+_NAMELESS = {"file": "the reference"}  # whose files have no label
+
+
 class TechniquesFailed(RuntimeError):
     """Something failed: techniques while rendering, or files that could not be written; all else was run and stored.
 
@@ -58,8 +61,8 @@ class TechniquesFailed(RuntimeError):
         if rows:
             first = rows[0]
             what = first.get("what") or "technique"
-            who = f"'{first['label']}'" if first["label"] else f"the {what}"
-            does = "failed" if what in ("technique", "report", "reference") else "could not be stored"
+            who = f"'{first['label']}'" if first["label"] else _NAMELESS.get(what, f"the {what}")
+            does = "could not be stored" if what == "file" else "failed"
             more = f" ({len(rows) - 1} more in {out / 'failures.csv'})" if len(rows) > 1 else ""
             where = f" on frame {first['frame']}" if first["frame"] else ""
             parts.append(f"{who} {does}{where}: {first['error']}{more}.")

@@ -32,11 +32,14 @@ def _line(cells: Sequence[str]) -> str:
     return text.getvalue()
 
 
-def replace_file(part: Path, path: Path) -> None:
-    """Puts a complete file in another's place; a kill or a loss of power leaves one or the other."""
+def replace_file(part: Path, path: Path, *, now: bool = True) -> None:
+    """Puts a complete file in another's place; a kill or a loss of power leaves one or the other.
+
+    With ``now`` the new one is there after a loss of power; without, once a row is in a table that is written later.
+    """
     _to_disk(part, _READ_WRITE)
     os.replace(part, path)
-    if os.name == "posix":  # elsewhere a folder cannot be opened
+    if now and os.name == "posix":  # elsewhere a folder cannot be opened
         _to_disk(path.parent, os.O_RDONLY)
 
 

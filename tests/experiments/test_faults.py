@@ -215,12 +215,19 @@ def test_a_disk_that_is_full_at_the_beginning_is_one_message(disk: Disk, tmp_pat
     disk.full = True
     with pytest.raises(InputError, match=r"out: cannot write results here \(No space left on device"):
         finished(tmp_path / "out")
+    disk.full = False
+    e = experiment()
+    store = Store.open(tmp_path / "out", e.to_yaml(), {"identity": {}}, resume=False)
+    disk.full = True
+    with pytest.raises(InputError, match=r"No space left on device"), store.writing():
+        pass
+    assert list((tmp_path / "spare").iterdir()) == []  # nothing was computed
 
 
 @pytest.mark.parametrize("when", [5, 13])
 def test_a_folder_that_vanishes_is_made_again(tmp_path: Path, when: int) -> None:
     finished(tmp_path / "whole")
-    with pytest.raises(TechniquesFailed, match="the result folder was deleted"):
+    with pytest.raises(TechniquesFailed, match=r"the folder failed on frame \d: .*the result folder was deleted"):
         finished(tmp_path / "out", At(**{f"_{when}": lambda: shutil.rmtree(tmp_path / "out")}))
     for name in ("frames", "passes", "left_out"):
         assert Store(tmp_path / "out").rows(name) == Store(tmp_path / "whole").rows(name)
