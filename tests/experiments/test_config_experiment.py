@@ -205,7 +205,7 @@ def test_a_mistake_is_named_with_file_line_and_key(load: Load, text: str, expect
         (
             "walkthrough",
             "sweep",
-            "e.yaml:1: kind: kind 'sweep' is not available yet; available: walkthrough, convergence, stability, analysis.",
+            "e.yaml:1: kind: kind 'sweep' is not available yet; available: walkthrough, convergence, stability, savings, analysis.",
         ),
         (
             "walkthrough",
