@@ -85,9 +85,9 @@ def measure(engine: WarpEngine, run: TechniqueRun, walk: Sequence[int], repeats:
         side.session.reset()
         side.ms, side.images, side.left_out = [], [], []
     _walk([ours, without, *each.values()], walk, repeats)
-    key = {"scene": engine.scene.name, "technique": run.name, "label": run.label}
+    key: dict[str, Any] = {"scene": engine.scene.name, "technique": run.name, "label": run.label}
     frames = list(range(len(walk)))
-    rows = []
+    rows: list[Row] = []
     for (what, reason), side in each.items():
         happened = [i for i in frames if (what, reason) in ours.left_out[i]]
         if happened:
@@ -107,7 +107,7 @@ def _walk(sides: Sequence[_Side], walk: Sequence[int], repeats: int) -> None:
             side.commit()
 
 
-def _compared(ours: _Side, other: _Side, frames: Sequence[int]) -> Row:
+def _compared(ours: _Side, other: _Side, frames: Sequence[int]) -> dict[str, Any]:
     """Medians over frames; the ratio is the median of the frames' own. The images of all frames are compared."""
     ms_with, ms_without = np.array(ours.ms)[frames], np.array(other.ms)[frames]
     return {
