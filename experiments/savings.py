@@ -73,21 +73,21 @@ def measure(engine: WarpEngine, run: TechniqueRun, walk: Sequence[int], repeats:
         repeats: Timed renderings of each.
     """
     ours, without = _Side(*engine.open(run)), _Side(*engine.open(run, skips=False))
-    _walk([ours, without], walk, 1)  # warm-up, and finds out what is left out
+    _walk([ours, without], walk, 1)  # warms up, and finds out what is left out
     found: dict[Omission, int] = {}
     for told, anyway in zip(ours.left_out, without.left_out, strict=True):
         for omission, count in told.items():
             if omission not in anyway and omission not in ours.session.inherent:
                 found[omission] = found.get(omission, 0) + count
     each = {omission: _Side(*engine.open(run, done_anyway=[omission])) for omission in found}
-    _walk(list(each.values()), walk[:2], 1)
-    for side in (ours, without, *each.values()):
-        side.session.reset()
+    _walk(list(each.values()), walk, 1)  # all alike, so that history is: a reset would build slow products again
+    sides = [ours, without, *each.values()]
+    for side in sides:
         side.ms, side.images, side.left_out = [], [], []
-    _walk([ours, without, *each.values()], walk, repeats)
+    _walk(sides, walk, repeats)
     key: dict[str, Any] = {"scene": engine.scene.name, "technique": run.name, "label": run.label}
     frames = list(range(len(walk)))
-    rows = []
+    rows: list[Row] = []
     for (what, reason), side in each.items():
         happened = [i for i in frames if (what, reason) in ours.left_out[i]]
         if happened:
@@ -107,7 +107,7 @@ def _walk(sides: Sequence[_Side], walk: Sequence[int], repeats: int) -> None:
             side.commit()
 
 
-def _compared(ours: _Side, other: _Side, frames: Sequence[int]) -> Row:
+def _compared(ours: _Side, other: _Side, frames: Sequence[int]) -> dict[str, Any]:
     """Medians over frames; the ratio is the median of the frames' own. The images of all frames are compared."""
     ms_with, ms_without = np.array(ours.ms)[frames], np.array(other.ms)[frames]
     return {

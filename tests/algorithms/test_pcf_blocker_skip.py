@@ -107,7 +107,7 @@ def test_what_is_left_out_is_recorded_and_shows_in_no_bit() -> None:
 def test_all_dark_and_all_lit_need_no_filter() -> None:
     ground = small.mesh("ground", small.plane(12.0), casts=False)
     roof = small.mesh("roof", small.box((0.0, 7.5, 0.0), (60.0, 0.5, 60.0)), receives=False)
-    speck = small.mesh("speck", small.box((50.0, 1.0, 0.0), (0.1, 0.1, 0.1)), receives=False)
+    speck = small.mesh("speck", small.box((0.0, -0.5, 0.0), (0.1, 0.1, 0.1)), receives=False)
     for caster, expected in ((roof, 0.0), (speck, 1.0)):
         scene = small.scene([ground, caster], PointLight(position=np.array([0.0, 10.0, 0.0])))
         result = session(scene).render(technique("pcf_blocker_skip"))

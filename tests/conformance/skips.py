@@ -105,7 +105,7 @@ SCENES: dict[str, Callable[[type[Technique]], Scene]] = {
 def images(technique: type[Technique], scene: Scene, device: str, skips: bool) -> Iterator[tuple[np.ndarray, ...]]:
     """Visibility and standard error of each frame of ``WALK``."""
     session = open_session(scene, device, size=(WIDTH // 2, HEIGHT // 2), skips=skips)
-    made = technique(small_params(technique))
+    made = technique(small_params(technique, samples=4))
     for index in WALK:
         session.begin(index)
         result = session.render(made)

@@ -57,6 +57,16 @@ def few_techniques(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("few_techniques")
+def test_without_casters_frames_stand_beside_g_buffer_and_shading(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(frames, "FEW_MS_REPEATS", 2)
+    rows = rows_of("nothing_casts")
+    assert list(rows) == [f"nothing_casts.{name}" for name in ("shadow_map", "tc_soft_paper", "multi_shadow_map")]
+    for row in rows.values():
+        assert row.ours_ms and row.peer_ms and row.peer == "G-buffer and shading"
+        assert row.target is not None and row.target.ratio == pytest.approx(0.952, abs=1e-3)
+
+
+@pytest.mark.usefixtures("few_techniques")
 def test_frames_say_where_their_time_goes() -> None:
     rows = rows_of("frames.paris")
     assert list(rows) == [f"frames.paris.{name}" for name in ("shadow_map", "tc_soft_paper", "multi_shadow_map")]
