@@ -5,6 +5,7 @@ What such techniques share of their host's side; what they differ in is in ``Upd
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -16,8 +17,9 @@ from wkernels.frame import Session
 from wkernels.gbuffer import PADDING, GBuffer
 from wkernels.history import History
 from wkernels.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
-from wkernels.light_map import Bias
+from wkernels.light_map import Bias, LightMap
 from wkernels.light_motion import ageing_window, displacement
+from wkernels.many_lights import JOIN, drawn_light, light_weights
 from wkernels.mesh_motion import pull_mesh_motion
 from wkernels.mover_shadow import add_mover_shadows, has_own_map
 from wkernels.receiver_lanes import lane_views
@@ -47,6 +49,7 @@ class StepParams(Protocol):
     mover_map: str
     mover_taps: int
     mover_overlap: str
+    lights: str
     ageing: str
     age_factor: float
     age_displacement: float
@@ -91,7 +94,7 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
     )
     out = UpdateSettings()
     out.bias, out.storage = p.device_bias, storage_of(p.buffer, p.cap)
-    out.light_size = 2.0 * np.tan(0.5 * frame.light.size) if frame.light.is_directional else frame.light.size
+    out.light_size = light_size(frame)
     out.has_history = int(history.valid)
     apart = has_own_map(frame, p)
     out.has_movers = int(
@@ -106,26 +109,98 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
         motion = pull_mesh_motion(frame, history.previous_index)
         out.motion, out.normal_motion, out.followed_samples = motion.points, motion.normals, p.mover_samples
     if history.previous_index is not None:
-        moved = displacement(frame.light, frame.lights.at(history.previous_index))
+        seen = range(len(frame.lights.lights)) if several_lights(frame, p) else [frame.lights.index]
+        # sums of several lights age as the one that goes furthest wants it
+        moved = max(displacement(frame.lights.lights[i], frame.lights.at(history.previous_index, i)) for i in seen)
         out.window = ageing_window(moved, p.ageing, p.age_factor, p.age_displacement)
     return ShadowStep(gbuffer, history, psi, error, half_width, apart), out
 
 
 def add_sample(frame: Session, step: ShadowStep, settings: UpdateSettings, p: StepParams) -> None:
-    """Draws the map of the light's next point and adds its tests to the shadow buffer."""
+    """Draws the map of the light's next point and adds its tests to the shadow buffer; or those of several lights."""
+    if not several_lights(frame, p):
+        _update(frame, step, settings, p)
+        return
+    weights, asked = light_weights(frame.lights.lights), frame.lights.index
+    try:
+        if p.lights == "drawn":
+            frame.lights.index = drawn_light(weights, frame.count)
+            settings.light_size = light_size(frame)
+            _update(frame, step, settings, p)
+        else:
+            _update_by_all(frame, step, settings, p, weights)
+    finally:
+        frame.lights.index = asked
+
+
+def several_lights(frame: Session, p: StepParams) -> bool:
+    """Whether psi is of all lights together; with one light there is no difference."""
+    return p.lights != "asked" and len(frame.lights.lights) > 1
+
+
+def light_size(frame: Session) -> float:
+    """L of the penumbra formulas: scene units, or 2 tan(angle / 2)."""
+    return float(2.0 * np.tan(0.5 * frame.light.size)) if frame.light.is_directional else frame.light.size
+
+
+def _update_by_all(
+    frame: Session, step: ShadowStep, settings: UpdateSettings, p: StepParams, weights: np.ndarray
+) -> None:
+    """The brightest light starts and fetches; the others join."""
+    worth = 1.0 / float((weights**2).sum())
+    order = [int(i) for i in np.argsort(-weights, kind="stable")]
+    order = [i for i in order if weights[i] > 0.0 or not frame.leave_out("light depth map", "the light is black")]
+    movers = settings.movers
+    settings.start_weight = float(settings.start_weight) * float(weights[order[0]]) * worth
+    settings.window = float(settings.window) * worth
+    settings.decrement = float(settings.decrement) + worth * (1.0 - float(weights[order[0]]))  # net of all their tests
+    if settings.movers == DISOCCLUDE:
+        settings.movers = int(AT_ONCE)  # sums of this frame must last until all lights have joined
+    for place, index in enumerate(order):
+        frame.lights.index = index
+        settings.light_size = light_size(frame)
+        if place == 0:
+            _update(frame, step, settings, p, float(weights[index]) * worth, index)
+            settings.movers = movers
+            continue
+        light_map, sample_weight = _draw(frame, step, settings, p, index)
+        settings.weight = sample_weight * float(weights[index]) * worth
+        with frame.timed("shadow buffer"):
+            inputs = [step.gbuffer, light_map, pull_footprint(frame, light_map, index), settings]
+            outputs = [step.history.current, step.psi, step.error, step.half_width]
+            kernel = JOIN[TEXEL_TYPES[p.buffer]]
+            frame.launch(kernel, step.psi.shape, [*inputs, int(place == len(order) - 1)], outputs)
+
+
+def _draw(
+    frame: Session, step: ShadowStep, settings: UpdateSettings, p: StepParams, slot: Hashable
+) -> tuple[LightMap, float]:
+    """The map of the next point of the light that is asked for, and the point's weight."""
     sample = frame.light_samples(1, p.sample_set, start=frame.count)
-    settings.weight = float(sample.weights_host[0])
     light_map = frame.light_map(
         p.resolution,
         sample.host[0],
-        slot="sample of the frame",
+        slot=("sample of the frame", slot),
         cull=p.cull,
         tag_moving_casters=bool(settings.has_movers),
         casters="still" if step.apart else "all",
     )
+    return light_map, float(sample.weights_host[0])
+
+
+def _update(
+    frame: Session,
+    step: ShadowStep,
+    settings: UpdateSettings,
+    p: StepParams,
+    weight: float = 1.0,
+    slot: Hashable = "centre",
+) -> None:
+    light_map, sample_weight = _draw(frame, step, settings, p, slot)
+    settings.weight = sample_weight * weight
     gbuffer, history, shape = step.gbuffer, step.history, step.psi.shape
     with frame.timed("shadow buffer"):
-        inputs = [gbuffer, light_map, pull_footprint(frame, light_map), settings]
+        inputs = [gbuffer, light_map, pull_footprint(frame, light_map, slot), settings]
         inputs += [history.previous_view or gbuffer.view, history.previous]
         outputs = [history.current, step.psi, step.error, step.half_width]
         in_lanes = p.buffer == "float32" and p.history != "linear"

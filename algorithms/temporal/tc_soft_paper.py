@@ -31,6 +31,9 @@ Deviations, where the paper is silent or wrong:
 - ``mover_map: centre`` is their proposal for moving objects (section 5): a second map that holds nothing else
   (``wkernels.mover_shadow``). On ``static_moving_overlap`` and ``moving_blocker_walkthrough`` a seventh and half of the
   error goes with it. Movers' shadows then have the faults of percentage-closer soft shadows.
+- ``lights`` is their proposal for several lights in one buffer, which sums all alike; here they are weighted by
+  radiance (``wkernels.many_lights``). The brightest light's start searches for blockers, the others' are their first
+  tests. A mover that only another light sees enters one frame late.
 - A light that moves is future work there, by age factors. ``ageing`` has them (``wkernels.estimators.age_sums``); n is
   then the effective number of tests. By default the window follows the displacement; under a light that stands nothing
   ages.
