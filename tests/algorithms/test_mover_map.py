@@ -184,7 +184,7 @@ def test_no_mover_makes_a_still_pixel_start_anew(name: str, device: str) -> None
         held[mover_map] = session.history("shadow buffer", lambda: None).previous.numpy()[..., 1]
     receives = held["centre"] > 0.0
     assert (held["centre"][receives] == frames).mean() > 0.95, "all but what the plate has uncovered itself"
-    assert (held["none"][receives] == 0.0).sum() > 100
+    assert (held["none"][receives] == 0.0).sum() > 50
 
 
 @pytest.mark.parametrize("name", BOTH)
