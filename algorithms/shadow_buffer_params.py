@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
+
+from pydantic import model_validator
 
 from algorithms.technique import MapParams, setting
 
@@ -111,6 +113,13 @@ class ShadowBufferParams(MapParams):
         "what is hidden where both hide some: as if by chance, or as if one mask lay in the other",
         unit="name",
     )
+    lights: Literal["asked", "drawn", "all"] = setting(
+        "asked",
+        "whose light: of the one that is asked for; of all, weighted by radiance, with a map of each in every frame; "
+        "or of all, with one map a frame, each light's as often as it weighs",
+        unit="name",
+        source="Scherzer 2009, sec. 5",
+    )
     ageing: Literal["none", "frames", "displacement", "balanced"] = setting(
         "balanced",
         "what is remembered loses weight in every frame in which the light moves: by age_factor; by exp(-displacement "
@@ -133,3 +142,9 @@ class ShadowBufferParams(MapParams):
         gt=0.0,
         le=1e6,
     )
+
+    @model_validator(mode="after")
+    def _one_map_of_movers(self) -> Any:
+        if self.lights != "asked" and self.mover_map != "none":
+            raise ValueError("mover_map has a map of one light: it goes with lights: asked only")
+        return self

@@ -145,6 +145,16 @@ class Technique(ABC):
     def __init__(self, params: Params | None = None) -> None:
         self.params: Any = params if params is not None else self.Params()
 
+    @property
+    def all_lights(self) -> bool:
+        """Whether the visibility is that of all the scene's lights together, with these parameters.
+
+        That is the mean of each light's visibility, weighted by radiance (``wkernels.many_lights.light_weights``), and
+        so is the reference that it is scored by. An experiment whose scene has several lights has techniques of one
+        sort only. ``lights``, a parameter of techniques that can do either, says so unless overridden.
+        """
+        return getattr(self.params, "lights", "asked") != "asked"
+
     @abstractmethod
     def render(self, frame: Frame) -> wp.array:
         """Visibility of the frame's receivers, float32, shape of the G-buffer that was asked for."""

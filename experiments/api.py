@@ -74,7 +74,8 @@ def render_visibility(
     instance = chosen(validate(chosen.Params, from_dict({"params": dict(params or {})}), ("params",), foreign=True))
     light_views = _projection(projection)
     geometry = _geometry(scene, frame, width, height, light, device, seed, threads)
-    check_needs(chosen, geometry.scene, geometry.scene.lights[light])
+    for lamp in geometry.scene.lights if instance.all_lights else [geometry.scene.lights[light]]:
+        check_needs(chosen, geometry.scene, lamp)
     session = Session(
         geometry,
         width=width,

@@ -265,7 +265,7 @@ def explain_convergence(convergence: Convergence, plugins: Mapping[str, type] | 
     )
     work.append(f"pictures at steps {', '.join(map(str, c.steps))}")
     sections = [
-        ("Scene", [*scene_lines(e, e.load_scene()), where]),
+        ("Scene", [*scene_lines(e, e.load_scene(), plugins), where]),
         ("What will run", technique_lines),
         ("Amount of work", work),
         ("Left out", ["times: nothing is timed, so nothing is warmed up or repeated"]),

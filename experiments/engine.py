@@ -106,7 +106,7 @@ class WarpEngine:
         plugins: Mapping[str, type] | None = None,
     ) -> None:
         from algorithms.composition import compose
-        from experiments.config.needs import check_needs
+        from experiments.config.needs import check_needs, shows_all_lights
         from wkernels.geometry import Geometry
         from wkernels.launch import default_threads
 
@@ -124,9 +124,10 @@ class WarpEngine:
             if run.name not in plugins:
                 raise InputError(f"there is no technique '{run.name}'." + nearest(run.name, plugins))
             check_needs(plugins[run.name], self.scene, self.scene.lights[experiment.light])
+        self.all_lights = shows_all_lights(experiment.runs, plugins, self.scene)
         self._projections = {run.label: compose(run.projection) if run.projection else None for run in experiment.runs}
         self.geometry = Geometry(self.scene, device, self.threads)
-        self._reference: ReferenceRenderer | None = None
+        self._references: dict[int, ReferenceRenderer] = {}
 
     def open(
         self, run: TechniqueRun, *, skips: bool | None = None, done_anyway: Collection[tuple[str, str]] = ()
@@ -156,25 +157,40 @@ class WarpEngine:
         return session, cls(cls.Params(**run.params))
 
     def reference(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
-        """Reference visibility and standard error, from the cache where it has them."""
+        """Reference visibility and standard error, from the cache where it has them.
+
+        Where the techniques show all lights it is the mean of all lights' references, weighted as theirs is.
+        """
+        from wkernels.many_lights import light_weights
+
+        lights = self.scene.lights
+        if not self.all_lights:
+            return self._reference_of(self.experiment.light, frame)
+        parts = [self._reference_of(index, frame) for index in range(len(lights))]
+        weights = light_weights(lights)
+        visibility = sum(w * v.astype(np.float64) for w, (v, _) in zip(weights, parts, strict=True))
+        variance = sum((w * s.astype(np.float64)) ** 2 for w, (_, s) in zip(weights, parts, strict=True))
+        return np.asarray(visibility, np.float32), np.asarray(np.sqrt(variance), np.float32)
+
+    def _reference_of(self, light: int, frame: int) -> tuple[np.ndarray, np.ndarray]:
         from experiments.reference import ReferenceRenderer
 
         experiment = self.experiment
         assert experiment.reference is not None
-        if self._reference is None:
-            self._reference = ReferenceRenderer(
+        if light not in self._references:
+            self._references[light] = ReferenceRenderer(
                 self.geometry,
                 samples=experiment.reference.samples,
                 width=experiment.image.width,
                 height=experiment.image.height,
-                light=experiment.light,
+                light=light,
                 centre=experiment.reference.light == "centre",
                 device=self.device,
                 threads=self.threads,
                 # Not the techniques' samples: a method that shared them would share the error and look better.
                 seed=experiment.seed + 1,
             )
-        made = self._reference.render(frame)
+        made = self._references[light].render(frame)
         return made.visibility, made.standard_error
 
     def ws_to_ss(self, frame: int) -> np.ndarray:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from algorithms.composition import DEFAULTS as PLAINEST
-from experiments.config.needs import unmet_need
+from experiments.config.needs import shows_all_lights, unmet_need
 from experiments.foreseen import light_moves, skip_lines
 from experiments.metrics import MAP_METRICS, METRICS
 
@@ -30,7 +30,7 @@ def explain(experiment: Experiment, plugins: Mapping[str, type] | None = None) -
         plugins = load_all()
     scene = experiment.load_scene()
     sections = [
-        ("Scene", scene_lines(experiment, scene)),
+        ("Scene", scene_lines(experiment, scene, plugins)),
         ("What will run", run_lines(experiment, plugins)),
         ("Amount of work", _work_lines(experiment, plugins)),
         *([("Views", _view_lines(experiment))] if experiment.views else []),
@@ -41,7 +41,7 @@ def explain(experiment: Experiment, plugins: Mapping[str, type] | None = None) -
     return "\n".join(parts)
 
 
-def scene_lines(experiment: Experiment, scene: Scene) -> list[str]:
+def scene_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, type]) -> list[str]:
     """Meshes, light and path."""
     casters = [mesh for mesh in scene.meshes if mesh.casts]
     triangles = sum(len(mesh.faces) for mesh in scene.meshes)
@@ -54,6 +54,8 @@ def scene_lines(experiment: Experiment, scene: Scene) -> list[str]:
         extent = f"size {light.size:.4g} scene units"
     if light_moves(experiment, scene):
         extent += ", moves"
+    if shows_all_lights(experiment.runs, plugins, scene):
+        extent += "; techniques and reference show all lights, weighted by radiance"
     return [
         f"{scene.name}: {len(scene.meshes)} meshes, {triangles:,} triangles, {len(casters)} meshes cast, "
         f"{sum(mesh.receives for mesh in scene.meshes)} receive, {sum(mesh.moving for mesh in scene.meshes)} move",

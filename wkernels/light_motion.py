@@ -144,6 +144,7 @@ class FrameLights:
                 self._versions[i] += 1
                 self.lights[i] = transformed(light, pose).moved(-self._origin_ws)
 
-    def at(self, frame: int) -> Light:
-        """The light that is asked for at another frame."""
-        return light_at(self._own[self.index], frame).moved(-self._origin_ws)
+    def at(self, frame: int, index: int | None = None) -> Light:
+        """The light that is asked for, or another, at another frame."""
+        own = self._own[self.index if index is None else index]
+        return light_at(own, frame).moved(-self._origin_ws)

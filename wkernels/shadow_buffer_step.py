@@ -5,6 +5,7 @@ What such techniques share of their host's side; what they differ in is in ``Upd
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -18,8 +19,9 @@ from wkernels.frame import Session
 from wkernels.gbuffer import PADDING, GBuffer
 from wkernels.history import History
 from wkernels.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
-from wkernels.light_map import Bias
+from wkernels.light_map import Bias, LightMap
 from wkernels.light_motion import ageing_window, displacement
+from wkernels.many_lights import BLACK_LIGHT, JOIN, drawn_light, light_weights
 from wkernels.mesh_motion import pull_mesh_motion
 from wkernels.mover_shadow import add_mover_shadows, has_own_map
 from wkernels.own_umbra import pull_light_corners
@@ -56,6 +58,7 @@ class StepParams(Protocol):
     mover_map: str
     mover_taps: int
     mover_overlap: str
+    lights: str
     ageing: str
     age_factor: float
     age_displacement: float
@@ -104,8 +107,9 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
     error, half_width = (frame.buffer(name, shape, wp.float32) for name in ("standard error", "half filter width"))
     out = UpdateSettings()
     out.bias, out.storage = p.device_bias, storage_of(p.buffer, p.cap)
-    out.light_size = 2.0 * np.tan(0.5 * frame.light.size) if frame.light.is_directional else frame.light.size
-    if p.turned_away == "dark":
+    out.light_size = light_size(frame)
+    # what turns away from one light may face another: their tests tell
+    if p.turned_away == "dark" and not several_lights(frame, p):
         out.light_corners = pull_light_corners(frame)
     out.window.largest = p.largest_n if p.largest_n < FLOAT32_LIMIT else UNLIMITED
     out.window.agreement, out.window.least = p.agreement, p.least_window
@@ -121,7 +125,9 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
         motion = pull_mesh_motion(frame, history.previous_index)
         out.motion, out.normal_motion, out.followed_samples = motion.points, motion.normals, p.mover_samples
     if history.previous_index is not None:
-        moved = displacement(frame.light, frame.lights.at(history.previous_index))
+        seen = range(len(frame.lights.lights)) if several_lights(frame, p) else [frame.lights.index]
+        # sums of several lights age as the one that goes furthest wants it
+        moved = max(displacement(frame.lights.lights[i], frame.lights.at(history.previous_index, i)) for i in seen)
         out.light_window = ageing_window(moved, p.ageing, p.age_factor, p.age_displacement)
     return ShadowStep(gbuffer, history, psi_depth, error, half_width, apart), out
 
@@ -152,20 +158,90 @@ def count_unsmoothed(frame: Session, step: ShadowStep) -> None:
 
 
 def add_sample(frame: Session, step: ShadowStep, settings: UpdateSettings, p: StepParams) -> None:
-    """Draws the map of the light's next point and adds its tests to the shadow buffer."""
+    """Draws the map of the light's next point and adds its tests to the shadow buffer; or those of several lights."""
+    if not several_lights(frame, p):
+        _update(frame, step, settings, p)
+        return
+    weights, asked = light_weights(frame.lights.lights), frame.lights.index
+    try:
+        if p.lights == "drawn":
+            frame.lights.index = drawn_light(weights, frame.count)
+            settings.light_size = light_size(frame)
+            _update(frame, step, settings, p)
+        else:
+            _update_by_all(frame, step, settings, p, weights)
+    finally:
+        frame.lights.index = asked
+
+
+def several_lights(frame: Session, p: StepParams) -> bool:
+    """Whether psi is of all lights together; with one light there is no difference."""
+    return p.lights != "asked" and len(frame.lights.lights) > 1
+
+
+def light_size(frame: Session) -> float:
+    """L of the penumbra formulas: scene units, or 2 tan(angle / 2)."""
+    return float(2.0 * np.tan(0.5 * frame.light.size)) if frame.light.is_directional else frame.light.size
+
+
+def _update_by_all(
+    frame: Session, step: ShadowStep, settings: UpdateSettings, p: StepParams, weights: np.ndarray
+) -> None:
+    """The brightest light starts and fetches; the others join."""
+    worth = 1.0 / float((weights**2).sum())
+    order = [int(i) for i in np.argsort(-weights, kind="stable")]
+    order = [i for i in order if weights[i] > 0.0 or not frame.leave_out(*BLACK_LIGHT)]
+    movers = settings.movers
+    settings.start_weight = float(settings.start_weight) * float(weights[order[0]]) * worth
+    settings.light_window = float(settings.light_window) * worth
+    settings.decrement = float(settings.decrement) + worth * (1.0 - float(weights[order[0]]))  # net of all their tests
+    if settings.movers == DISOCCLUDE:
+        settings.movers = int(AT_ONCE)  # sums of this frame must last until all lights have joined
+    for place, index in enumerate(order):
+        frame.lights.index = index
+        settings.light_size = light_size(frame)
+        if place == 0:
+            _update(frame, step, settings, p, float(weights[index]) * worth, index)
+            settings.movers = movers
+            continue
+        light_map, sample_weight = _draw(frame, step, settings, p, index)
+        settings.weight = sample_weight * float(weights[index]) * worth
+        with frame.timed("shadow buffer"):
+            inputs = [step.gbuffer, light_map, pull_footprint(frame, light_map, index), settings]
+            outputs = [step.history.current, step.psi_depth, step.error, step.half_width]
+            kernel = JOIN[TEXEL_TYPES[p.buffer]]
+            frame.launch(kernel, step.error.shape, [*inputs, int(place == len(order) - 1)], outputs)
+
+
+def _draw(
+    frame: Session, step: ShadowStep, settings: UpdateSettings, p: StepParams, slot: Hashable
+) -> tuple[LightMap, float]:
+    """The map of the next point of the light that is asked for, and the point's weight."""
     sample = frame.light_samples(1, p.sample_set, start=frame.count)
-    settings.weight = float(sample.weights_host[0])
     light_map = frame.light_map(
         p.resolution,
         sample.host[0],
-        slot="sample of the frame",
+        slot=("sample of the frame", slot),
         cull=p.cull,
         tag_moving_casters=bool(settings.has_movers),
         casters="still" if step.apart else "all",
     )
+    return light_map, float(sample.weights_host[0])
+
+
+def _update(
+    frame: Session,
+    step: ShadowStep,
+    settings: UpdateSettings,
+    p: StepParams,
+    weight: float = 1.0,
+    slot: Hashable = "centre",
+) -> None:
+    light_map, sample_weight = _draw(frame, step, settings, p, slot)
+    settings.weight = sample_weight * weight
     gbuffer, history, shape = step.gbuffer, step.history, step.error.shape
     with frame.timed("shadow buffer"):
-        footprint = pull_footprint(frame, light_map)
+        footprint = pull_footprint(frame, light_map, slot)
         maps = [gbuffer, light_map, footprint]
         inputs = [settings, history.previous_view or gbuffer.view, history.previous]
         outputs = [history.current, step.psi_depth, step.error, step.half_width]

@@ -22,8 +22,8 @@ def count_still_frames(frame: Session) -> int:
 
     def build(old: Stillness | None) -> Stillness:
         out = old or Stillness()
-        light = frame.light
-        stamp = (frame.geometry.version, views_stamp([frame.eye()]), light.hull.tobytes(), light.centre.tobytes())
+        lights = tuple((light.hull.tobytes(), light.centre.tobytes()) for light in frame.lights.lights)
+        stamp = (frame.geometry.version, views_stamp([frame.eye()]), lights)
         out.frames = out.frames + 1 if stamp == out.stamp else 0
         out.stamp = stamp
         return out

@@ -37,6 +37,9 @@ Deviations, where the paper is silent or wrong:
 - ``mover_map: centre`` is their proposal for moving objects (section 5): a second map that holds nothing else
   (``wkernels.mover_shadow``). On ``static_moving_overlap`` and ``moving_blocker_walkthrough`` a seventh and half of the
   error goes with it. Movers' shadows then have the faults of percentage-closer soft shadows.
+- ``lights`` is their proposal for several lights in one buffer, which sums all alike; here they are weighted by
+  radiance (``wkernels.many_lights``). The brightest light's start searches for blockers, the others' are their first
+  tests. A mover that only another light sees enters one frame late.
 - A light that moves is future work there, by age factors. ``ageing`` has them (``wkernels.estimators.age_sums``); n is
   then the effective number of tests. By default the window follows the displacement; under a light that stands nothing
   ages.
@@ -59,6 +62,7 @@ from algorithms.shadow_buffer_params import ShadowBufferParams
 from algorithms.technique import Limit, Needs, Technique, setting
 from wkernels.filtering import check_tap_count, pull_taps
 from wkernels.frame import Session as Frame
+from wkernels.many_lights import BLACK_LIGHT
 from wkernels.mover_shadow import NO_MOVERS
 from wkernels.neighbourhood_filter import filter_image
 from wkernels.shadow_buffer_step import (
@@ -87,7 +91,7 @@ class TcSoftPaper(Technique):
         "light_place": "no texel falls on a receiver in whose plane the light lies"
     }
     bias_sign = "none"
-    may_leave_out = (UNTAGGED, UNSMOOTHED, SETTLED, NO_MOVERS, TAPS_ALIKE)
+    may_leave_out = (BLACK_LIGHT, UNTAGGED, UNSMOOTHED, SETTLED, NO_MOVERS, TAPS_ALIKE)
     limits = (
         Limit(
             equals="multi_shadow_map",

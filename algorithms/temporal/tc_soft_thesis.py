@@ -30,6 +30,7 @@ the printed form is worth a look:
 - ``history``: ``linear`` is the shader's; it mixes tags and sentinels of four texels. ``bilinear`` tests each texel, on
   the receiver's plane.
 - ``mover_map: centre``: as in ``tc_soft_paper``.
+- ``lights``: as in ``tc_soft_paper``.
 - ``ageing``: light that moves is left open there (section 5.4.1); as in ``tc_soft_paper``.
 - s_min and s_max are the shader's, 1/50 and 1/5; the text's example has 1/32 and 1/8. The gate is the text's n < 16.
 - Divisions by a depth or count of 0 (5.18 on the first frame) are guarded. The blur reads this frame's psi, as in the
@@ -52,6 +53,7 @@ from algorithms.technique import Limit, Needs, Technique, setting
 from wkernels.filtering import pull_taps
 from wkernels.frame import Session as Frame
 from wkernels.lanes import flat_floats, flat_pairs, runs_per_row, uses_lanes
+from wkernels.many_lights import BLACK_LIGHT
 from wkernels.mover_shadow import NO_MOVERS
 from wkernels.neighbourhood_blend import BLEND, BlendSettings, blend_neighbourhood_lanes
 from wkernels.neighbourhood_filter import pull_opposite_taps
@@ -83,7 +85,7 @@ class TcSoftThesis(Technique):
         "light_place": "no texel falls on a receiver in whose plane the light lies"
     }
     bias_sign = "none"
-    may_leave_out = (UNTAGGED, UNSMOOTHED, SETTLED, NO_MOVERS, POINTLESS)
+    may_leave_out = (BLACK_LIGHT, UNTAGGED, UNSMOOTHED, SETTLED, NO_MOVERS, POINTLESS)
     limits = (Limit(equals="multi_shadow_map", params={"filter": False}, other_params={"samples": 16}, frames=16),)
 
     class Params(ShadowBufferParams):

@@ -17,7 +17,7 @@ from pydantic_core import to_jsonable_python
 
 from experiments.config.messages import Loc
 from experiments.config.models import Image, Projection, Reference
-from experiments.config.needs import check_needs
+from experiments.config.needs import check_needs, shows_all_lights
 from experiments.config.schema import Experiment, open_scene, read_experiment
 from experiments.config.source import Source, StrictModel, dump_yaml, validate
 from experiments.config.techniques import TechniqueRun, check_projection, expand_techniques
@@ -195,6 +195,7 @@ def load_convergence(
     scene_source, scene = open_scene(source, path.resolve().parent, file.light)
     for run in runs:
         check_needs(plugins[run.name], scene, scene.lights[file.light], source=source, loc=run.loc)
+    shows_all_lights(runs, plugins, scene, source)
     last = file.steps[-1]
     experiment = Experiment(
         name=path.stem,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -58,6 +59,40 @@ def check_needs(technique: Any, scene: Scene, light: Light, *, source: Source | 
     message = unmet_need(technique, scene, light)
     if message is not None:
         raise source.error(message, loc) if source else InputError(message)
+
+
+def shows_all_lights(
+    runs: Iterable[Any], plugins: Mapping[str, Any], scene: Scene, source: Source | None = None
+) -> bool:
+    """Whether an experiment's techniques show all lights together, and are scored by the weighted mean of references.
+
+    Args:
+        runs: Its techniques, ``TechniqueRun``.
+        plugins: Technique classes by name.
+        scene: The scene; with one light it makes no difference, and this is False.
+        source: The experiment file.
+
+    Raises:
+        InputError: Some do and others show one light, which no reference suits; or one cannot work with a light.
+    """
+    if len(scene.lights) < 2:
+        return False
+    own = {run.label: _shows_all(plugins[run.name], run.params) for run in runs}
+    odd = [run for run in runs if own[run.label] != next(iter(own.values()))]
+    if odd:
+        message = (
+            f"'{odd[0].label}' shows {'all lights' if own[odd[0].label] else 'one light'} and '{next(iter(own))}' "
+            f"{'one' if own[odd[0].label] else 'all'}: no reference suits both, give each an experiment of its own."
+        )
+        raise source.error(message, odd[0].loc) if source else InputError(message)
+    for run in runs:
+        for light in scene.lights if own[run.label] else ():
+            check_needs(plugins[run.name], scene, light, source=source, loc=run.loc)
+    return any(own.values())
+
+
+def _shows_all(technique: Any, params: Mapping[str, Any]) -> bool:
+    return bool(hasattr(technique, "all_lights") and technique(technique.Params(**params)).all_lights)
 
 
 def is_closed(mesh: Mesh) -> bool:

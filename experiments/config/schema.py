@@ -15,7 +15,7 @@ from pydantic_core import to_jsonable_python
 
 from experiments.config.messages import Loc
 from experiments.config.models import FrameRange, Image, Projection, Reference, RunFile, Views, WalkthroughFile
-from experiments.config.needs import check_needs
+from experiments.config.needs import check_needs, shows_all_lights
 from experiments.config.overrides import apply_overrides
 from experiments.config.source import Source, dump_yaml, load_yaml, validate
 from experiments.config.techniques import TechniqueRun, check_projection, expand_techniques
@@ -167,6 +167,7 @@ def _resolved(
     scene_source, scene = open_scene(source, base, file.light)
     for run in runs:
         check_needs(plugins[run.name], scene, scene.lights[file.light], source=source, loc=run.loc)
+    shows_all_lights(runs, plugins, scene, source)
     return resolve(name, source, file, runs, file.baseline or labels[0], (scene_source, scene), labels)
 
 
