@@ -101,8 +101,8 @@ def test_agreement_limits_n_at_edges_under_a_moving_eye_only(name: str, device: 
         held[callable(path)] = texels[texels[..., 1] > 0.0]
     psi = held[True][:, 0] / held[True][:, 1]
     inner = (psi > 0.2) & (psi < 0.8)
-    assert inner.sum() > 20 and held[True][inner, 1].min() < 8.0 and held[True][inner, 1].mean() < 20.0
-    assert np.median(held[True][(psi < 1e-6) | (psi > 1.0 - 1e-6), 1]) == 24.0, "where all agree nothing is limited"
+    assert inner.sum() > 20 and held[True][inner, 1].min() < 8.0 and np.quantile(held[True][inner, 1], 0.25) < 20.0
+    assert np.median(held[True][(psi < 1e-6) | (psi > 1.0 - 1e-6), 1]) > 23.5, "where all agree nothing is limited"
     assert (held[False][:, 1] == 24.0).all(), "a still eye interpolates nothing"
 
 
