@@ -44,12 +44,13 @@ def test_the_truth_lies_within_two_standard_errors(tmp_path: Path, monkeypatch: 
 def test_the_table_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     head = {"step": [4, 8, 1, 8], "over": ["frames", "frames", "", "samples"], "label": ["a", "a", "one", "none"]}
     values = {"coverage_2se": [0.5, 0.984, 1.0, None], "penumbra_standard_error": [0.4, 0.06, 0.2, None]}
+    values["zero_standard_error"] = [0.0, 0.012, 0.0, None]
     table = pd.DataFrame({**head, **values, "penumbra_rmse": [0.2, 0.03, 0.0, 0.1]})
     assert coverage_table({"x": table, "y": table[:1]}, 8).splitlines() == [
         "| n = 8 | x | y |",
         "|---|---|---|",
-        "| a | 98.4 % (2.0) |  |",
-        "| one | 100.0 % (no error) |  |",
+        "| a | 98.4 (99.6; 2.0) |  |",
+        "| one | 100.0 (100.0; no error) |  |",
     ]
     with pytest.raises(SystemExit):
         main(["--help"])
