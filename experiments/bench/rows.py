@@ -46,7 +46,7 @@ class Row:
         mismatch: Share of pixels in which both images differ, in [0, 1]; None where they were not compared.
         note: What was timed or what is missing.
         target: What it should reach, if anything was asked for.
-        paired: Median of the runs' own ratios, each of two runs in a row, where that is steadier than the medians' ratio.
+        paired: Median of the ratios of runs in a row, where they were kept: steadier than the medians' ratio.
         figures: Further numbers by name, units in the names; they become keys of the JSON row.
     """
 
