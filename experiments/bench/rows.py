@@ -46,6 +46,7 @@ class Row:
         mismatch: Share of pixels in which both images differ, in [0, 1]; None where they were not compared.
         note: What was timed or what is missing.
         target: What it should reach, if anything was asked for.
+        paired: Median of the ratios of runs in a row, where they were kept: steadier than the medians' ratio.
         figures: Further numbers by name, units in the names; they become keys of the JSON row.
     """
 
@@ -56,11 +57,14 @@ class Row:
     mismatch: float | None = None
     note: str = ""
     target: Target | None = None
+    paired: float | None = None
     figures: Mapping[str, object] = field(default_factory=dict)
 
     @property
     def ratio(self) -> float | None:
-        """peer_ms / ours_ms: above 1 we are faster."""
+        """peer_ms / ours_ms, of pairs of runs where they were kept: above 1 we are faster."""
+        if self.paired is not None:
+            return self.paired
         return self.peer_ms / self.ours_ms if self.peer_ms is not None and self.ours_ms else None
 
     @property
@@ -99,6 +103,14 @@ def interleaved_medians(
         warm_ups: Runs of each side that do not count.
         most_s: After so many seconds no further round of timed runs begins; there is always one.
     """
+    times = interleaved_times(sides, repeats, warm_ups=warm_ups, most_s=most_s)
+    return [float(median) for median in np.median(times, axis=0)]
+
+
+def interleaved_times(
+    sides: Sequence[Timed], repeats: int, *, warm_ups: int = WARM_UPS, most_s: float = float("inf")
+) -> np.ndarray:
+    """The milliseconds behind ``interleaved_medians``, one row per round and one column per side."""
     for side in sides:
         for _ in range(warm_ups):
             side()
@@ -106,4 +118,4 @@ def interleaved_medians(
     times: list[list[float]] = []
     while not times or (len(times) < repeats and time.perf_counter() - begin < most_s):
         times.append([side() for side in sides])
-    return [float(median) for median in np.median(times, axis=0)]
+    return np.array(times)
