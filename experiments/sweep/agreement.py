@@ -26,8 +26,8 @@ class Agreement:
     Attributes:
         scene: Its name; ``all`` for the rows over all scenes.
         labels: How many labels both have.
-        spearman_time: Rank correlation of the times (over all scenes: of the ratios to the baseline), -1 to 1; None
-            with fewer than two labels that have one.
+        spearman_time: Rank correlation of the times, as paired ratios to the baseline, in which the machine's speed at
+            the moment cancels; -1 to 1, None with fewer than two labels that have one.
         spearman_error: The same of the RMSE.
         front_a, front_b: Which of these labels are on each front.
         differ: Those that are on one of the two only.
@@ -58,7 +58,8 @@ def agree(a: str | Path, b: str | Path) -> list[Agreement]:
     """
     rows = [SweepStore.existing(out).rows("pareto") for out in (a, b)]
     tables = [_by_scene(part) for part in rows]
-    scenes = [scene for scene in tables[0] if scene in tables[1]]
+    same = tables[0].keys() == tables[1].keys()  # rows over all scenes are of the same ones only then
+    scenes = [scene for scene in tables[0] if scene in tables[1] and (same or scene != ALL)]
     if not scenes:
         raise InputError(f"shares no scene with {a}.", file=b)
     return [_agreement(scene, tables[0][scene], tables[1][scene]) for scene in scenes]
@@ -85,8 +86,7 @@ def _by_scene(rows: list[dict[str, str]]) -> dict[str, dict[str, Row]]:
 def _agreement(scene: str, a: Mapping[str, Row], b: Mapping[str, Row]) -> Agreement:
     common = [label for label in a if label in b]
     fronts = [tuple(label for label in common if part[label]["on_front"] == "yes") for part in (a, b)]
-    time = "ratio" if scene == ALL else "frame_ms"
-    return Agreement(scene, len(common), _spearman(common, a, b, time), _spearman(common, a, b, "rmse"), *fronts)
+    return Agreement(scene, len(common), _spearman(common, a, b, "ratio"), _spearman(common, a, b, "rmse"), *fronts)
 
 
 def _spearman(labels: list[str], a: Mapping[str, Row], b: Mapping[str, Row], column: str) -> float | None:

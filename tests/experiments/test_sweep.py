@@ -312,8 +312,10 @@ def test_a_sweep_agrees_with_itself(whole: Path) -> None:
         assert set(entry.front_a) == {"base", "exact", "quick"}
 
 
-def test_what_differs_is_named(whole: Path, other: Path) -> None:
+def test_what_differs_is_named(whole: Path, other: Path, tmp_path: Path) -> None:
     found = {entry.scene: entry for entry in agree(whole, other)}
+    fewer = swept(tmp_path, make_sweep(scenes=SCENES[:2])).out
+    assert [entry.scene for entry in agree(whole, fewer)] == ["one", "two"]  # `all` would be of other scenes
     assert list(found) == [*SCENES, "all"]
     assert found["one"].differ == found["all"].differ == ("quick",)
     # times by rank: base 2, exact 4, poor 3, quick 1 has become base 1, exact 3, poor 2, quick 4
