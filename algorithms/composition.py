@@ -15,8 +15,8 @@ from wkernels.errors import InputError, nearest
 from wkernels.focusing import LightSpace, depth_range, fitted_view, light_space, projective_view, warp_shape
 from wkernels.frame import LightViews
 from wkernels.geometry import Bounds
+from wkernels.light_maps.map_storage import DRAWINGS, PLACES, MapOptions
 from wkernels.light_views import scene_views
-from wkernels.map_storage import DRAWINGS, PLACES, MapOptions
 from wkernels.near_plane import NEAR_PLANES
 from wkernels.side_pieces import side_pieces
 from wkernels.splits import SCHEMES, pseudo_planes, shares_of_split, split_borders

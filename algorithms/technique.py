@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from wkernels.frame import Session as Frame
 from wkernels.left_out import Omission
-from wkernels.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL, BIAS_SLOPE, Bias
+from wkernels.light_maps.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL, BIAS_SLOPE, Bias
 from wkernels.raster import CULL_FRONT, CULL_NONE
 
 ALL_LIGHTS = frozenset({"point", "directional", "rectangle", "disc", "sphere", "linear", "polygon"})
@@ -149,7 +149,7 @@ class Technique(ABC):
     def all_lights(self) -> bool:
         """Whether the visibility is that of all the scene's lights together, with these parameters.
 
-        That is the mean of each light's visibility, weighted by radiance (``wkernels.many_lights.light_weights``), and
+        That is the mean of each light's visibility, weighted by radiance (``temporal.many_lights.light_weights``), and
         so is the reference that it is scored by. An experiment whose scene has several lights has techniques of one
         sort only. ``lights``, a parameter of techniques that can do either, says so unless overridden.
         """

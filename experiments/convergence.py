@@ -68,7 +68,7 @@ def measure(visibility: np.ndarray, standard_error: np.ndarray | None, reference
     out["zero_standard_error"] = float(np.mean(s == 0.0))
     known = s > 0.0
     if known.any():
-        # An error of 1 stands for "one sample, nothing known" (wkernels/estimators.py).
+        # An error of 1 stands for "one sample, nothing known" (wkernels/temporal/estimators.py).
         n = np.where(s[known] >= 1.0, 1.0, 1.0 + np.clip(v * (1.0 - v), 0.0, None)[known] / s[known] ** 2)
         out["n_effective"] = float(np.median(n))
     return out

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from experiments.config.techniques import TechniqueRun
     from experiments.reference import ReferenceRenderer
     from wkernels.frame import Session
-    from wkernels.sampling_rate import MapUse
+    from wkernels.light_maps.sampling_rate import MapUse
     from wkernels.scene import Scene
 
 
@@ -161,7 +161,7 @@ class WarpEngine:
 
         Where the techniques show all lights it is the mean of all lights' references, weighted as theirs is.
         """
-        from wkernels.many_lights import light_weights
+        from wkernels.temporal.many_lights import light_weights
 
         lights = self.scene.lights
         if not self.all_lights:
@@ -201,8 +201,8 @@ class WarpEngine:
         return eye_view(self.scene.camera(frame), image.width, image.height, np.zeros(3)).ws_to_ss
 
     def map_use(self, session: Any) -> MapUse | None:
-        """See ``wkernels.sampling_rate``."""
-        from wkernels.sampling_rate import map_use
+        """See ``wkernels.light_maps.sampling_rate``."""
+        from wkernels.light_maps.sampling_rate import map_use
 
         return map_use(session)
 

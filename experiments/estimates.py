@@ -15,7 +15,7 @@ from experiments.environment import describe_identity, describe_machine
 from experiments.result_tables import refusing
 from experiments.store import Store
 from experiments.tables import table_text, write_text
-from wkernels.estimate_series import estimates_of
+from wkernels.temporal.estimate_series import estimates_of
 
 COLUMNS = ("n", "tau", "psi", "variance", "standard_error")
 _SHOWN = 40  # rows printed; the file has them all

@@ -9,13 +9,13 @@ import numpy as np
 
 from algorithms.composition import compose
 from algorithms.technique import MapParams
-from wkernels.empty_maps import UNCOMPARED, UNDRAWN, may_see
 from wkernels.frame_result import TURNED_AWAY
 from wkernels.geometry import Bounds
+from wkernels.light_maps.empty_maps import UNCOMPARED, UNDRAWN, may_see
+from wkernels.light_maps.map_shelf import BESIDE
 from wkernels.light_views import scene_views
-from wkernels.map_shelf import BESIDE
-from wkernels.mover_shadow import NO_MOVERS
-from wkernels.shadow_buffer_step import SETTLED
+from wkernels.temporal.mover_shadow import NO_MOVERS
+from wkernels.temporal.shadow_buffer_step import SETTLED
 from wkernels.views import HostView, eye_view
 
 if TYPE_CHECKING:

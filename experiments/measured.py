@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from wkernels.sampling_rate import MapUse
+    from wkernels.light_maps.sampling_rate import MapUse
 
 HARD_EDGE = 0.5  # a larger difference of visibility between neighbouring pixels is an edge, not a slope
 

@@ -21,7 +21,14 @@ from wkernels.errors import InputError, nearest
 from wkernels.frame import Session
 from wkernels.lanes import LANES, Floats, runs_of, uses_lanes
 from wkernels.light_extent import light_half_axes
-from wkernels.light_map import LightMap, Receiver, compare_bilinear, receiver_depth_at, texels_per_length, to_texel
+from wkernels.light_maps.light_map import (
+    LightMap,
+    Receiver,
+    compare_bilinear,
+    receiver_depth_at,
+    texels_per_length,
+    to_texel,
+)
 from wkernels.sampling import hash_2d, uniform_01
 
 TAP_SETS: dict[str, Callable[[int], np.ndarray]] = {"poisson": poisson_disc_taps, "box": box_taps}

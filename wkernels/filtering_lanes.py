@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.comparison_lanes import SpreadRun, compare_bilinear_taps, compare_nearest_taps
 from wkernels.filtering import NEAREST_BLOCKER, LightFootprint, tap_rotation
 from wkernels.lanes import LANES, Floats, Ints
-from wkernels.light_map import LightMap
-from wkernels.receiver_lanes import LaneViews, ReceiverRun
+from wkernels.light_maps.comparison_lanes import SpreadRun, compare_bilinear_taps, compare_nearest_taps
+from wkernels.light_maps.light_map import LightMap
+from wkernels.light_maps.receiver_lanes import LaneViews, ReceiverRun
 
 
 def flat_half_axes(footprint: LightFootprint) -> wp.array:

@@ -18,23 +18,23 @@ from wkernels import gbuffer as gb
 from wkernels.caster_tree import CasterTree, CasterTreeBuilder
 from wkernels.frame_result import G_BUFFER, SHADING, FrameResult, check_image, read_back, tell_turned_away
 from wkernels.geometry import Bounds, Geometry
-from wkernels.history import History
-from wkernels.jitter import Jitter, jittered_view
 from wkernels.launch import launch, wake_workers
 from wkernels.left_out import LeavesOut, Omission
-from wkernels.light_map import LightMap
+from wkernels.light_maps.jitter import Jitter, jittered_view
+from wkernels.light_maps.light_map import LightMap
+from wkernels.light_maps.map_shelf import MapShelf
 from wkernels.light_motion import FrameLights
 from wkernels.light_proofs import LightHull, light_hull
 from wkernels.light_samples import LightSamples
 from wkernels.light_views import fit_scene
 from wkernels.lights import Light
-from wkernels.map_shelf import MapShelf
 from wkernels.near_plane import NearPlane
 from wkernels.products import OPTIONAL, UNASKED, Products
 from wkernels.raster import CULL_NONE, Rasteriser
 from wkernels.sampling import light_set
 from wkernels.scene import Camera
 from wkernels.shading import shade
+from wkernels.temporal.history import History
 from wkernels.timing import PassTimer
 from wkernels.views import HostView, eye_view
 

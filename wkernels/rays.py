@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.estimators import standard_error
 from wkernels.gbuffer import GBuffer, is_back_lit
 from wkernels.geometry import RECEIVES
-from wkernels.light_map import to_light
+from wkernels.light_maps.light_map import to_light
 from wkernels.light_proofs import LightHull, proves_dark, proves_lit
+from wkernels.temporal.estimators import standard_error
 
 ORIGIN_ERROR = wp.constant(4.0e-6)  # relative to the coordinates and the eye distance: a few float32 roundings
 PROBES = wp.constant(4)  # rays cast before a proof is tried: they say which one can succeed

@@ -13,16 +13,16 @@ from collections.abc import Hashable
 import numpy as np
 import warp as wp
 
-from wkernels.comparison_lanes import SpreadRun, compare_nearest_taps
 from wkernels.errors import InputError
 from wkernels.filtering import mean_blocker_depth, penumbra_filter
 from wkernels.filtering_lanes import keep_without_receiver, penumbra_filter_run
 from wkernels.frame import Session
 from wkernels.gbuffer import GBuffer
 from wkernels.lanes import LANES, Floats, runs_per_row, uses_lanes
-from wkernels.light_map import Bias, LightMap
-from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
-from wkernels.receivers import receiver_of_pixel
+from wkernels.light_maps.comparison_lanes import SpreadRun, compare_nearest_taps
+from wkernels.light_maps.light_map import Bias, LightMap
+from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
+from wkernels.light_maps.receivers import receiver_of_pixel
 
 SETTLED = "filter of pixels", "the search settles them"
 

@@ -8,7 +8,7 @@ import warp as wp
 from wkernels.gbuffer import PADDING, GBuffer
 from wkernels.lanes import LANES, Floats, Ints, Vectors, flat_floats, runs_of, runs_per_row, uses_lanes
 from wkernels.launch import launch
-from wkernels.light_map import to_light
+from wkernels.light_maps.light_map import to_light
 from wkernels.lights import Light
 
 AMBIENT = 0.25  # share of the light's colour that reaches every surface

@@ -22,9 +22,9 @@ from typing import Literal
 import warp as wp
 
 from algorithms.technique import Limit, MapParams, Technique, setting
-from wkernels.empty_maps import nothing_hides
 from wkernels.filtering import tap_set
 from wkernels.frame import Session as Frame
+from wkernels.light_maps.empty_maps import nothing_hides
 from wkernels.searched_filter import SETTLED, filter_after_search, rim_taps, searched_filter
 
 

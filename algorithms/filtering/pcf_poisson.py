@@ -18,9 +18,9 @@ import numpy as np
 import warp as wp
 
 from algorithms.technique import Limit, MapParams, Technique, setting
-from wkernels.empty_maps import nothing_hides
 from wkernels.filtering import tap_set
 from wkernels.frame import Session as Frame
+from wkernels.light_maps.empty_maps import nothing_hides
 from wkernels.searched_filter import filter_after_search, searched_filter
 
 NO_SEARCH = np.zeros((0, 2))

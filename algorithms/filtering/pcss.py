@@ -30,7 +30,6 @@ import warp as wp
 from pydantic import ValidationInfo, field_validator
 
 from algorithms.technique import Limit, MapParams, Needs, Technique, setting
-from wkernels.empty_maps import nothing_hides
 from wkernels.filtering import (
     LightFootprint,
     check_tap_count,
@@ -43,9 +42,10 @@ from wkernels.filtering_lanes import flat_half_axes, pcss_visibility_run, tap_ro
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer
 from wkernels.lanes import LANES, runs_per_row, uses_lanes
-from wkernels.light_map import Bias, LightMap
-from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
-from wkernels.receivers import receiver_of_pixel
+from wkernels.light_maps.empty_maps import nothing_hides
+from wkernels.light_maps.light_map import Bias, LightMap
+from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
+from wkernels.light_maps.receivers import receiver_of_pixel
 
 TAPS_ALIKE = "taps of search and filter", "the light has no area"
 

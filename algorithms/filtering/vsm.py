@@ -29,7 +29,6 @@ from pydantic import field_validator
 
 from algorithms.technique import MapParams, Technique, setting
 from wkernels.blur import gaussian_weights, separable_blur
-from wkernels.empty_maps import nothing_hides
 from wkernels.filtering import (
     LightFootprint,
     mean_blocker_depth,
@@ -41,9 +40,10 @@ from wkernels.filtering import (
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer
 from wkernels.lanes import LANES, Floats, Pairs, flat_floats, runs_of, runs_per_row, uses_lanes
-from wkernels.light_map import Bias, LightMap, layout_of
-from wkernels.map_storage import MapLayout, allocate, layer_images
-from wkernels.moments import (
+from wkernels.light_maps.empty_maps import nothing_hides
+from wkernels.light_maps.light_map import Bias, LightMap, layout_of
+from wkernels.light_maps.map_storage import MapLayout, allocate, layer_images
+from wkernels.light_maps.moments import (
     Chebyshev,
     depth_range,
     find_moments,
@@ -53,8 +53,8 @@ from wkernels.moments import (
     normalised,
     sample_bilinear,
 )
-from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
-from wkernels.receivers import receiver_of_pixel
+from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
+from wkernels.light_maps.receivers import receiver_of_pixel
 from wkernels.summed_area import box_mean, summed_area_table
 
 TAPS_ALIKE = "taps of the search", "the light has no area"

@@ -27,7 +27,7 @@ from wkernels.blobs import Blob, bounding_ellipsoid, distance_to_blob, placed_el
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import GBuffer, is_back_lit
 from wkernels.geometry import RECEIVES
-from wkernels.light_map import to_light
+from wkernels.light_maps.light_map import to_light
 
 
 @wp.struct

@@ -56,13 +56,13 @@ from algorithms.composition import Composition
 from algorithms.technique import Limit, MapParams, Needs, Technique, setting
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import PADDING, GBuffer
-from wkernels.kept_maps import KeptMaps, Schedule
 from wkernels.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
-from wkernels.map_pool_lanes import pool_views
-from wkernels.mover_maps import MoverMaps, mover_reach
-from wkernels.pool_update import PoolSteps, add_movers, update_sums
-from wkernels.pool_update_lanes import add_movers_lanes, update_sums_lanes
-from wkernels.receiver_lanes import lane_views
+from wkernels.light_maps.kept_maps import KeptMaps, Schedule
+from wkernels.light_maps.map_pool_lanes import pool_views
+from wkernels.light_maps.mover_maps import MoverMaps, mover_reach
+from wkernels.light_maps.receiver_lanes import lane_views
+from wkernels.temporal.pool_update import PoolSteps, add_movers, update_sums
+from wkernels.temporal.pool_update_lanes import add_movers_lanes, update_sums_lanes
 
 STANDS_STILL = "light depth maps and tests", "the view has stood still for all samples"
 NO_MOVERS = "maps of moving casters", "no caster moves"

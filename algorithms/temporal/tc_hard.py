@@ -39,15 +39,15 @@ import numpy as np
 import warp as wp
 
 from algorithms.technique import Limit, MapParams, Needs, Technique, setting
-from wkernels.confidence import Blending
-from wkernels.confident_history import ConfidentSettings, add_confident_test
-from wkernels.confident_history_lanes import add_confident_test_lanes
 from wkernels.frame import Session as Frame
 from wkernels.gbuffer import PADDING
-from wkernels.jitter import frame_jitter
 from wkernels.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
-from wkernels.receiver_lanes import lane_views
-from wkernels.shadow_buffer import BILINEAR, NEAREST
+from wkernels.light_maps.jitter import frame_jitter
+from wkernels.light_maps.receiver_lanes import lane_views
+from wkernels.temporal.confidence import Blending
+from wkernels.temporal.confident_history import ConfidentSettings, add_confident_test
+from wkernels.temporal.confident_history_lanes import add_confident_test_lanes
+from wkernels.temporal.shadow_buffer import BILINEAR, NEAREST
 
 UNTAGGED = "tags of moving casters", "no caster moves"
 

@@ -21,7 +21,7 @@ Deviations, where the paper is silent or wrong:
   test. What the whole light lies behind is dark at once, holds no history and gives none: along ``overlap`` and
   ``big_penumbra`` (walkthroughs) the error is 7 and 6 % smaller in every frame; ``tested`` is the published form.
 - ``agreement``: a moving eye interpolates history anew in every frame. Where its texels differ n is limited to what the
-  difference is worth (``wkernels.sample_window``): 4, 7 and 2 % less error along the three walkthroughs. A fixed window
+  difference is worth (``temporal.sample_window``): 4, 7 and 2 % less error along the three walkthroughs. A fixed window
   (``largest_n``) of 32 gains a fifth of that; ``stop_error`` ends the drawing of a still picture.
 - Equation 6 maps a length to the near plane only; here it is pixels, pw H / (2 depth tan(fov / 2)).
 - A filter as wide as the penumbra keeps its bias until the error reaches t (psi = 1/2: n = 626), so that errors fall
@@ -35,12 +35,12 @@ Deviations, where the paper is silent or wrong:
 - Under a mover's shadow the sums of a frame are shown, not stored, nor is a start whose blocker search met a mover: the
   next frame starts anew, so that nothing trails. ``movers`` has the ways of Schwaerzler 2009 besides, and none at all.
 - ``mover_map: centre`` is their proposal for moving objects (section 5): a second map that holds nothing else
-  (``wkernels.mover_shadow``). On ``static_moving_overlap`` and ``moving_blocker_walkthrough`` a seventh and half of the
+  (``temporal.mover_shadow``). On ``static_moving_overlap`` and ``moving_blocker_walkthrough`` a seventh and half of the
   error goes with it. Movers' shadows then have the faults of percentage-closer soft shadows.
 - ``lights`` is their proposal for several lights in one buffer, which sums all alike; here they are weighted by
-  radiance (``wkernels.many_lights``). The brightest light's start searches for blockers, the others' are their first
+  radiance (``temporal.many_lights``). The brightest light's start searches for blockers, the others' are their first
   tests. A mover that only another light sees enters one frame late.
-- A light that moves is future work there, by age factors. ``ageing`` has them (``wkernels.estimators.age_sums``); n is
+- A light that moves is future work there, by age factors. ``ageing`` has them (``temporal.estimators.age_sums``); n is
   then the effective number of tests. By default the window follows the displacement; under a light that stands nothing
   ages.
 
@@ -62,10 +62,10 @@ from algorithms.shadow_buffer_params import ShadowBufferParams
 from algorithms.technique import Limit, Needs, Technique, setting
 from wkernels.filtering import check_tap_count, pull_taps
 from wkernels.frame import Session as Frame
-from wkernels.many_lights import BLACK_LIGHT
-from wkernels.mover_shadow import NO_MOVERS
-from wkernels.neighbourhood_filter import filter_image
-from wkernels.shadow_buffer_step import (
+from wkernels.temporal.many_lights import BLACK_LIGHT
+from wkernels.temporal.mover_shadow import NO_MOVERS
+from wkernels.temporal.neighbourhood_filter import filter_image
+from wkernels.temporal.shadow_buffer_step import (
     SETTLED,
     UNSMOOTHED,
     UNTAGGED,
@@ -75,7 +75,7 @@ from wkernels.shadow_buffer_step import (
     end_step,
     is_settled,
 )
-from wkernels.shadow_buffer_update import START_PCSS, START_SAMPLE
+from wkernels.temporal.shadow_buffer_update import START_PCSS, START_SAMPLE
 
 TAPS_ALIKE = "taps of starts", "the light has no area"
 

@@ -25,7 +25,7 @@ the printed form is worth a look:
   Delta = 1; ``at_once`` is the shader, which drops everything in one frame.
 - ``turned_away``: surfaces behind which the whole light lies are dark at once and take no part in history, which would
   spread the lit rim of curved casters over them: 9 and 7 % less error along ``overlap`` and ``big_penumbra``.
-- ``agreement``: n of history whose texels differ is limited to what that is worth (``wkernels.sample_window``): 3, 8
+- ``agreement``: n of history whose texels differ is limited to what that is worth (``temporal.sample_window``): 3, 8
   and 1 % less error along the three walkthroughs.
 - ``history``: ``linear`` is the shader's; it mixes tags and sentinels of four texels. ``bilinear`` tests each texel, on
   the receiver's plane.
@@ -53,12 +53,12 @@ from algorithms.technique import Limit, Needs, Technique, setting
 from wkernels.filtering import pull_taps
 from wkernels.frame import Session as Frame
 from wkernels.lanes import flat_floats, flat_pairs, runs_per_row, uses_lanes
-from wkernels.many_lights import BLACK_LIGHT
-from wkernels.mover_shadow import NO_MOVERS
-from wkernels.neighbourhood_blend import BLEND, BlendSettings, blend_neighbourhood_lanes
-from wkernels.neighbourhood_filter import pull_opposite_taps
-from wkernels.shadow_buffer import TEXEL_TYPES
-from wkernels.shadow_buffer_step import (
+from wkernels.temporal.many_lights import BLACK_LIGHT
+from wkernels.temporal.mover_shadow import NO_MOVERS
+from wkernels.temporal.neighbourhood_blend import BLEND, BlendSettings, blend_neighbourhood_lanes
+from wkernels.temporal.neighbourhood_filter import pull_opposite_taps
+from wkernels.temporal.shadow_buffer import TEXEL_TYPES
+from wkernels.temporal.shadow_buffer_step import (
     SETTLED,
     UNSMOOTHED,
     UNTAGGED,
@@ -69,7 +69,7 @@ from wkernels.shadow_buffer_step import (
     end_step,
     is_settled,
 )
-from wkernels.shadow_buffer_update import START_SAMPLE, START_SEARCH
+from wkernels.temporal.shadow_buffer_update import START_SAMPLE, START_SEARCH
 
 POINTLESS = "blocker searches and neighbourhoods", "the light has no area"
 

@@ -17,7 +17,7 @@ from experiments.bench.rows import WARM_UPS, Row, Timed, interleaved_medians, in
 from experiments.config.needs import unmet_need
 from wkernels.frame import Session
 from wkernels.geometry import Geometry
-from wkernels.light_map import depths_on_host
+from wkernels.light_maps.light_map import depths_on_host
 
 FEW_MS_REPEATS = 41  # of frames so short that fewer do not tell 5 % apart
 

@@ -18,7 +18,7 @@ from wkernels.filtering import BORDER, pull_footprint, tap_set
 from wkernels.frame import Session
 from wkernels.gbuffer import GBuffer
 from wkernels.geometry import CASTS, RECEIVES, Bounds, Geometry
-from wkernels.light_map import ROUNDING, depths_on_host
+from wkernels.light_maps.light_map import ROUNDING, depths_on_host
 from wkernels.light_views import scene_views
 from wkernels.raster import CULL_BACK, Rasteriser
 from wkernels.views import HostView, eye_view

@@ -21,7 +21,7 @@ from wkernels.clipping import ConvexBody, box_polyhedron, clip_polyhedron, frust
 from wkernels.focusing import depth_range, light_body, seen_body
 from wkernels.frame import Session
 from wkernels.geometry import CASTS, Bounds
-from wkernels.light_layers import chosen_layers
+from wkernels.light_maps.light_layers import chosen_layers
 from wkernels.raster import CULL_NONE, Rasteriser
 from wkernels.scene import Camera
 from wkernels.views import HostView, LayerChoice, ProjectiveView

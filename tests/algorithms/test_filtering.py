@@ -26,7 +26,7 @@ from wkernels.filtering import (
 )
 from wkernels.launch import launch
 from wkernels.light_extent import light_half_axes
-from wkernels.light_map import Bias, LightMap, Receiver, depths_on_host, locate, locate_receiver
+from wkernels.light_maps.light_map import Bias, LightMap, Receiver, depths_on_host, locate, locate_receiver
 from wkernels.lights import (
     DirectionalLight,
     DiscLight,

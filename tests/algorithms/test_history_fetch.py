@@ -13,12 +13,12 @@ from compare import assert_twin
 from test_shadow_buffer import EYE, HEIGHT, WIDTH, ground_depth, ray
 
 from algorithms.plugins import find
-from wkernels.estimators import UNLIMITED, add_test, fade_out, sampling_weight
 from wkernels.frame import Session
 from wkernels.geometry import Geometry
 from wkernels.launch import launch
-from wkernels.mesh_motion import mesh_motion, pull_mesh_motion
-from wkernels.shadow_buffer import (
+from wkernels.temporal.estimators import UNLIMITED, add_test, fade_out, sampling_weight
+from wkernels.temporal.mesh_motion import mesh_motion, pull_mesh_motion
+from wkernels.temporal.shadow_buffer import (
     BILINEAR,
     TEXEL_TYPES,
     fetch_linear,
@@ -27,7 +27,7 @@ from wkernels.shadow_buffer import (
     storage_of,
     write_record,
 )
-from wkernels.shadow_buffer_step import begin_step
+from wkernels.temporal.shadow_buffer_step import begin_step
 from wkernels.views import View
 
 # ---- fading and blending ------------------------------------------------------------------------------------------------

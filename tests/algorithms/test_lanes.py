@@ -15,16 +15,16 @@ from algorithms.composition import compose
 from algorithms.plugins import find
 from algorithms.technique import MapParams
 from experiments.scenes.loader import load_scene
-from wkernels import mover_shadow, neighbourhood_filter, shadow_buffer_step
 from wkernels.frame import Session
 from wkernels.gbuffer import GBuffer, is_back_lit
 from wkernels.geometry import RECEIVES, Geometry
 from wkernels.lanes import LANES, runs_per_row, uses_lanes
 from wkernels.launch import launch
-from wkernels.light_map import Bias, LightMap, locate_receiver, texels_per_length, to_light
+from wkernels.light_maps.light_map import Bias, LightMap, locate_receiver, texels_per_length, to_light
+from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.lights import Light, SphereLight
-from wkernels.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.scene import Scene
+from wkernels.temporal import mover_shadow, neighbourhood_filter, shadow_buffer_step
 
 pytestmark = pytest.mark.usefixtures("on_cpu")
 BIASES = ("none", "constant", "slope", "back_face", "slope_back_face", "normal")

@@ -21,8 +21,8 @@ from wkernels.errors import InputError
 from wkernels.frame import FrameResult, Session
 from wkernels.geometry import Geometry
 from wkernels.lights import Light
-from wkernels.many_lights import drawn_light, light_weights
 from wkernels.scene import Scene
+from wkernels.temporal.many_lights import drawn_light, light_weights
 
 SIZE = (96, 72)
 BOTH = ("tc_soft_paper", "tc_soft_thesis")

@@ -9,8 +9,8 @@ import warp as wp
 from filtering_sessions import render
 
 from wkernels.launch import launch
-from wkernels.light_map import LightMap
-from wkernels.moments import Chebyshev, depth_range, find_moments, lit_share, sample_bilinear
+from wkernels.light_maps.light_map import LightMap
+from wkernels.light_maps.moments import Chebyshev, depth_range, find_moments, lit_share, sample_bilinear
 
 
 @wp.kernel

@@ -12,13 +12,13 @@ import warp as wp
 from compare import assert_twin
 
 from algorithms.plugins import find
-from wkernels import mover_shadow
 from wkernels.frame import FrameResult, Session
 from wkernels.geometry import Geometry
 from wkernels.launch import launch
-from wkernels.light_map import depths_on_host
-from wkernels.mover_shadow import OVERLAPS, join_error, join_hidden, mover_regions
+from wkernels.light_maps.light_map import depths_on_host
 from wkernels.scene import Mesh, Scene
+from wkernels.temporal import mover_shadow
+from wkernels.temporal.mover_shadow import OVERLAPS, join_error, join_hidden, mover_regions
 
 SIZE = (96, 72)
 BOTH = ("tc_soft_paper", "tc_soft_thesis")

@@ -11,9 +11,9 @@ import small_scenes as small
 from pydantic import ValidationError
 
 from algorithms.plugins import find
-from wkernels import map_shelf
 from wkernels.frame import FrameResult, Session
 from wkernels.geometry import Geometry
+from wkernels.light_maps import map_shelf
 from wkernels.lights import DirectionalLight, Light, PointLight, RectangleLight
 from wkernels.sampling import light_set
 from wkernels.scene import Scene

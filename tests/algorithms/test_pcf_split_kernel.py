@@ -12,7 +12,7 @@ from filtering_sessions import INSIDE, OPTIONS, render, session, technique
 from algorithms.composition import compose
 from algorithms.filtering import pcf_split_kernel
 from wkernels.lanes import uses_lanes
-from wkernels.layer_density import layer_densities
+from wkernels.light_maps.layer_density import layer_densities
 from wkernels.lights import DirectionalLight, Light, PointLight
 from wkernels.scene import Camera, Scene
 

@@ -11,11 +11,11 @@ from compare import assert_twin
 
 from wkernels.disc_sets import PUBLISHED_POISSON_16
 from wkernels.errors import InputError
-from wkernels.estimators import FLOAT16_LIMIT, add_test, hidden_share, share_variance, standard_error
 from wkernels.geometry import RECEIVES
 from wkernels.launch import launch
-from wkernels.neighbourhood_filter import filter_neighbourhood, opposite_taps, pixels_per_length
-from wkernels.shadow_buffer import (
+from wkernels.temporal.estimators import FLOAT16_LIMIT, add_test, hidden_share, share_variance, standard_error
+from wkernels.temporal.neighbourhood_filter import filter_neighbourhood, opposite_taps, pixels_per_length
+from wkernels.temporal.shadow_buffer import (
     BILINEAR,
     NEAREST,
     TEXEL_TYPES,

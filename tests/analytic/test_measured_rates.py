@@ -10,9 +10,9 @@ from algorithms.composition import compose
 from algorithms.projection import WarpShape, warps
 from wkernels.frame import Session
 from wkernels.geometry import Geometry
+from wkernels.light_maps.sampling_rate import SamplingRate, sampling_rate
 from wkernels.lights import DirectionalLight
 from wkernels.perspective_error import TiltedFrustum
-from wkernels.sampling_rate import SamplingRate, sampling_rate
 from wkernels.scene import Camera, Scene
 
 THETA = np.radians(30.0)

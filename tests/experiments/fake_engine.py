@@ -13,8 +13,8 @@ from algorithms.technique import Needs
 from experiments.config.schema import Experiment, Image, Reference
 from experiments.config.techniques import TechniqueRun
 from wkernels.frame import FrameResult
+from wkernels.light_maps.sampling_rate import MapUse, SamplingRate
 from wkernels.lights import RectangleLight
-from wkernels.sampling_rate import MapUse, SamplingRate
 from wkernels.scene import Camera, Mesh, Scene
 from wkernels.views import eye_view
 

@@ -8,7 +8,7 @@ from fake_engine import HEIGHT, WIDTH, camera, floor_positions, true_visibility
 
 from experiments.carry_over import carry_over, disoccluded
 from experiments.metrics import METRICS, Measured, distinguishable, evaluate, flip_map
-from wkernels.sampling_rate import MapUse, SamplingRate
+from wkernels.light_maps.sampling_rate import MapUse, SamplingRate
 from wkernels.views import eye_view
 
 EVERY = frozenset(METRICS)

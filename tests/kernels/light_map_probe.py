@@ -9,7 +9,7 @@ import warp as wp
 from wkernels.frame import Session
 from wkernels.geometry import Geometry
 from wkernels.launch import launch
-from wkernels.light_map import (
+from wkernels.light_maps.light_map import (
     Bias,
     LightMap,
     compare_bilinear,

@@ -9,7 +9,7 @@ import warp as wp
 from light_map_probe import compare, locate_all, make_bias, make_session, upload
 
 from wkernels.launch import launch
-from wkernels.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL, BIAS_SLOPE, Bias
+from wkernels.light_maps.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL, BIAS_SLOPE, Bias
 from wkernels.lights import DirectionalLight, PointLight
 from wkernels.scene import Mesh
 

@@ -7,7 +7,10 @@ import pytest
 import warp as wp
 from compare import assert_twin
 
-from wkernels.confidence import (
+from wkernels.launch import launch
+from wkernels.light_maps.jitter import frame_jitter
+from wkernels.light_maps.light_map import BIAS_SLOPE, Bias, Receiver
+from wkernels.temporal.confidence import (
     Blending,
     blend_shares,
     chosen_power,
@@ -17,9 +20,6 @@ from wkernels.confidence import (
     read_blur,
     spare_bias,
 )
-from wkernels.jitter import frame_jitter
-from wkernels.launch import launch
-from wkernels.light_map import BIAS_SLOPE, Bias, Receiver
 
 
 @wp.kernel

@@ -7,10 +7,10 @@ import pytest
 import small_scenes
 import warp as wp
 
-from wkernels.empty_maps import UNCOMPARED, UNDRAWN, light_front, may_see, nothing_hides
 from wkernels.frame import Session
 from wkernels.geometry import CASTS, RECEIVES, Bounds, Geometry
-from wkernels.light_map import depths_on_host
+from wkernels.light_maps.empty_maps import UNCOMPARED, UNDRAWN, light_front, may_see, nothing_hides
+from wkernels.light_maps.light_map import depths_on_host
 from wkernels.light_views import scene_views
 from wkernels.scene import Scene
 

@@ -7,12 +7,13 @@ import pytest
 import small_scenes as small
 import warp as wp
 
-from wkernels import blur, filtering, light_map_drawing, shading
+from wkernels import blur, filtering, shading
 from wkernels.filtering import pull_footprint
 from wkernels.frame import Session
 from wkernels.geometry import Geometry
 from wkernels.lanes import LANES, Floats, Ints, Vectors, flat_floats, runs_of
-from wkernels.light_map import depths_on_host
+from wkernels.light_maps import light_map_drawing
+from wkernels.light_maps.light_map import depths_on_host
 from wkernels.lights import SphereLight
 from wkernels.scene import Scene
 

@@ -11,7 +11,7 @@ import small_scenes as small
 from algorithms.composition import compose
 from wkernels.frame import Session
 from wkernels.geometry import Geometry
-from wkernels.jitter import Jitter, frame_jitter, jittered_view
+from wkernels.light_maps.jitter import Jitter, frame_jitter, jittered_view
 from wkernels.light_views import scene_views
 from wkernels.lights import DirectionalLight, PointLight
 from wkernels.views import HostView

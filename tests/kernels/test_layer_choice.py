@@ -14,7 +14,7 @@ from wkernels.focusing import fitted_view, light_space
 from wkernels.frame import Session
 from wkernels.geometry import Bounds, Geometry
 from wkernels.launch import launch
-from wkernels.light_map import FILTER_TEXELS
+from wkernels.light_maps.light_map import FILTER_TEXELS
 from wkernels.views import HostView, LayerChoice
 
 R = 64

@@ -7,11 +7,12 @@ import pytest
 import small_scenes
 import warp as wp
 
-from wkernels import depth_clamp, near_plane
-from wkernels.depth_clamp import clamp_casters
+from wkernels import near_plane
 from wkernels.frame import Session
 from wkernels.geometry import Geometry
 from wkernels.lanes import uses_lanes
+from wkernels.light_maps import depth_clamp
+from wkernels.light_maps.depth_clamp import clamp_casters
 from wkernels.near_plane import least_depth
 
 SIZES = [(1, 1), (1, 5), (7, 3), (3, 15), (4, 16), (5, 17), (33, 31), (64, 48), (45, 129)]

@@ -8,7 +8,7 @@ from light_map_probe import host_locate
 
 from wkernels.frame import Session
 from wkernels.geometry import RECEIVES, Geometry
-from wkernels.light_layers import chosen_layers
+from wkernels.light_maps.light_layers import chosen_layers
 
 
 def test_every_pixel_has_the_layer_that_holds_it_most_centrally(device: str) -> None:

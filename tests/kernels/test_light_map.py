@@ -14,7 +14,7 @@ from light_map_probe import LIGHTS, cluttered_session, compare, host_locate, loc
 from wkernels.frame import Session
 from wkernels.geometry import Geometry
 from wkernels.launch import launch
-from wkernels.light_map import BIAS_SLOPE, depths_on_host
+from wkernels.light_maps.light_map import BIAS_SLOPE, depths_on_host
 
 
 @pytest.mark.parametrize("kind", LIGHTS)

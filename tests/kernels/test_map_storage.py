@@ -14,9 +14,9 @@ from algorithms.plugins import find
 from wkernels.errors import InputError
 from wkernels.frame import Session
 from wkernels.geometry import Geometry
-from wkernels.light_map import depths_on_host, layout_of
+from wkernels.light_maps.light_map import depths_on_host, layout_of
+from wkernels.light_maps.map_storage import PAGE, PLACES, allocate, lay_out, layer_images, layers_on_host
 from wkernels.lights import Light, SphereLight
-from wkernels.map_storage import PAGE, PLACES, allocate, lay_out, layer_images, layers_on_host
 from wkernels.raster import Rasteriser
 
 SPLIT = {"fit": "focused", "splits": 4, "scheme": "log"}

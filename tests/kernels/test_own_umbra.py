@@ -13,13 +13,13 @@ from algorithms.plugins import find
 from wkernels.frame import Session
 from wkernels.gbuffer import PADDING, GBuffer
 from wkernels.geometry import CASTS, RECEIVES, Geometry
-from wkernels.history_lanes import points_of_run
 from wkernels.lanes import LANES, Floats, runs_of, runs_per_row, uses_lanes
 from wkernels.launch import launch
+from wkernels.light_maps.receiver_lanes import LaneViews, lane_views
 from wkernels.lights import Light, SphereLight
-from wkernels.own_umbra import is_own_umbra, own_umbra_run, pull_light_corners
-from wkernels.receiver_lanes import LaneViews, lane_views
 from wkernels.scene import Camera
+from wkernels.temporal.history_lanes import points_of_run
+from wkernels.temporal.own_umbra import is_own_umbra, own_umbra_run, pull_light_corners
 
 LIGHTS: dict[str, Light] = {
     "rectangle": small.light("rectangle", (3.0, 6.0, 2.0)),

@@ -15,8 +15,8 @@ from algorithms.composition import compose
 from wkernels.focusing import fitted_view, light_space
 from wkernels.frame import Session
 from wkernels.geometry import Bounds, Geometry
-from wkernels.light_map import depths_on_host
-from wkernels.map_storage import DRAWINGS
+from wkernels.light_maps.light_map import depths_on_host
+from wkernels.light_maps.map_storage import DRAWINGS
 from wkernels.raster import CULL_BACK, CULL_NONE, Rasteriser, TriangleBlocks
 from wkernels.raster.blocks import MAX_VIEWS
 from wkernels.raster.lane_culling import LANES

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from wkernels import reprojection
 from wkernels.launch import launch
+from wkernels.temporal import reprojection
 from wkernels.views import HostView, View
 
 WIDTH, HEIGHT = 96, 64

@@ -11,13 +11,13 @@ import warp as wp
 from compare import assert_twin
 
 from algorithms.plugins import find
-from wkernels.estimators import add_test
 from wkernels.frame import Session
 from wkernels.geometry import Geometry
 from wkernels.launch import launch
-from wkernels.sample_window import SampleWindow, shorten, window_of
 from wkernels.scene import Camera
-from wkernels.stillness import count_still_frames
+from wkernels.temporal.estimators import add_test
+from wkernels.temporal.sample_window import SampleWindow, shorten, window_of
+from wkernels.temporal.stillness import count_still_frames
 
 
 @wp.kernel

@@ -16,11 +16,18 @@ from wkernels.frame import Session
 from wkernels.gbuffer import GBuffer
 from wkernels.geometry import Geometry
 from wkernels.launch import launch
-from wkernels.light_map import LightMap
+from wkernels.light_maps.light_map import LightMap
+from wkernels.light_maps.sampling_rate import (
+    LEAST_COSINE,
+    SamplingRate,
+    map_use,
+    sampling_rate,
+    unread_share,
+    wasted_shares,
+)
 from wkernels.light_views import perspective_aliasing
 from wkernels.lights import DirectionalLight, Light
 from wkernels.perspective_error import texels_per_pixel
-from wkernels.sampling_rate import LEAST_COSINE, SamplingRate, map_use, sampling_rate, unread_share, wasted_shares
 from wkernels.scene import Camera, Scene
 from wkernels.views import HostView, LayerChoice, ProjectiveView
 

@@ -7,7 +7,7 @@ import warp as wp
 from wkernels.gbuffer import GBuffer, is_back_lit
 from wkernels.geometry import RECEIVES
 from wkernels.irregular.grid import LightFace, column_of, row_of, to_face
-from wkernels.light_map import to_light
+from wkernels.light_maps.light_map import to_light
 from wkernels.rays import ray_origin
 
 NO_ROW = wp.constant(-1)

@@ -12,9 +12,9 @@ from projection_cases import LIGHTS, SUN, WARPS, bounds, posts
 
 from algorithms.composition import compose
 from algorithms.plugins import load_all
-from wkernels import light_map_drawing
 from wkernels.frame import Session
 from wkernels.geometry import Geometry
+from wkernels.light_maps import light_map_drawing
 from wkernels.lights import PointLight
 from wkernels.scene import Camera, Scene
 from wkernels.views import ProjectiveView, eye_view

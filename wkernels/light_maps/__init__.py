@@ -1,0 +1,1 @@
+"""Light depth maps: how they are laid out, drawn, kept, and compared with receivers."""
