@@ -65,7 +65,7 @@ class TechniquesFailed(RuntimeError):
             does = "could not be stored" if what == "file" else "failed"
             more = f" ({len(rows) - 1} more in {out / 'failures.csv'})" if len(rows) > 1 else ""
             where = f" on frame {first['frame']}" if first["frame"] else ""
-            parts.append(f"{who} {does}{where}: {first['error']}{more}.")
+            parts.append(f"{who} {does}{where}: {first['error'].rstrip('.')}{more}.")
             parts.append(f"Tracebacks are in {out / 'failures'}, the other results in {out}.")
             if any(row.get("what", "technique") not in ("", "technique") for row in rows):
                 parts.append("--resume makes again what could not be stored.")
