@@ -51,7 +51,7 @@ TRACING_MODULES = (
     "views",
     "lights",
     "light_motion",
-    "light_map",
+    "light_maps/light_map",
     "sampling",
     "disc_sets",
 )

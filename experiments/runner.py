@@ -51,12 +51,14 @@ class TechniquesFailed(RuntimeError):
         out: The result folder.
         labels: The labels that failed.
         spare: Folder of tables that could not be written; None where all could.
+        unwritten: Whether there are any.
     """
 
     def __init__(self, out: Path, rows: list[dict[str, str]], store: Store | None = None) -> None:
         self.out = out
         self.labels = tuple(dict.fromkeys(row["label"] for row in rows if row["label"]))
         self.spare = store.spare if store else None
+        self.unwritten = bool(store and store.unwritten)
         parts = []
         if rows:
             first = rows[0]

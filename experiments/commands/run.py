@@ -131,6 +131,7 @@ def _run_sweep(request: _Request) -> None:
 
 def _run_savings(request: _Request) -> None:
     from experiments.config.savings import load_savings
+    from experiments.report.savings import write_savings_report
     from experiments.savings import run_savings, savings_text
     from experiments.tables import read_table
 
@@ -139,7 +140,7 @@ def _run_savings(request: _Request) -> None:
     folder = request.folder(savings.name)
     with _interruptible(folder), progress_display() as progress:
         table = run_savings(savings, folder, plugins, progress=progress, **request.options)
-    print(f"{savings_text(read_table(table))}\nTable: {table}")
+    print(f"{savings_text(read_table(table))}\nTable: {table}\nReport: {write_savings_report(folder)}")
 
 
 @contextmanager
@@ -164,6 +165,7 @@ def report_folder(folder: Path, *, recompute: bool = False) -> None:
     """Writes the report of a result folder again; ``recompute`` computes its metrics again first."""
     from experiments.report import recompute_metrics, write_report
     from experiments.report.convergence import write_convergence_report
+    from experiments.report.savings import is_savings, write_savings_report
     from experiments.report.stability import is_stability, write_stability_report
     from experiments.sweep.store import is_sweep
     from experiments.sweep.write import write_sweep
@@ -171,9 +173,13 @@ def report_folder(folder: Path, *, recompute: bool = False) -> None:
     if is_sweep(folder):
         print(f"Report: {write_sweep(folder, recompute=recompute)}")
         return
-    of_kind = {"stability": is_stability(folder), "convergence": (folder / "convergence.csv").is_file()}
-    for kind, write in (("stability", write_stability_report), ("convergence", write_convergence_report)):
-        if of_kind[kind]:
+    kinds = (
+        ("stability", is_stability(folder), write_stability_report),
+        ("convergence", (folder / "convergence.csv").is_file(), write_convergence_report),
+        ("savings", is_savings(folder), write_savings_report),
+    )
+    for kind, is_it, write in kinds:
+        if is_it:
             if recompute:
                 raise InputError(f"is of the kind {kind}, whose rows cannot be computed again.", file=folder)
             print(f"Report: {write(folder)}")

@@ -1,37 +1,46 @@
-"""What leaving out saved, as a part of a report."""
+"""The page of a table of savings: what leaving out saved, all together and rule by rule."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from html import escape
+from pathlib import Path
 
+from experiments.report.page import render
 from experiments.savings import EVERYTHING
-from experiments.tables import Row
+from experiments.store import Store
+from experiments.tables import read_table, write_text
+from wkernels.errors import InputError
 
-HEAD = ("scene", "label", "left out", "because", "how often", "without [ms]", "with [ms]", "times", "images differ by")
+FILE = "savings.csv"
 
 
-def savings_section(rows: Sequence[Row]) -> str:
-    """An HTML table of the rows of savings.csv, a label's total in bold; empty without rows.
+def is_savings(folder: Path) -> bool:
+    """Whether a folder is of ``kind: savings``."""
+    return (folder / FILE).is_file()
 
-    Args:
-        rows: As ``experiments.tables.read_table`` gives them.
+
+def write_savings_report(out: str | Path) -> Path:
+    """Writes report.html of a folder of ``kind: savings`` from savings.csv; renders nothing.
+
+    Raises:
+        InputError: ``out`` has no rows, or cannot be written.
     """
+    store = Store(Path(out))
+    rows = read_table(store.out / FILE)
     if not rows:
-        return ""
-    body = []
-    for row in rows:
-        difference = float(row["image_difference"])
-        numbers = [
-            f"{float(row['ms_without']):.2f}",
-            f"{float(row['ms_with']):.2f}",
-            f"{float(row['ratio']):.2f}",
-            "0" if difference == 0.0 else f"{difference:.2g}",
-        ]
-        texts = [row["scene"], row["label"], row["what"], row["reason"]]
-        cells = [f"<td>{escape(text)}</td>" for text in texts]
-        cells += [f'<td class="number">{escape(str(text))}</td>' for text in (row["count"], *numbers)]
-        mark = ' style="font-weight: bold"' if row["what"] == EVERYTHING else ""
-        body.append(f"<tr{mark}>{''.join(cells)}</tr>")
-    head = "".join(f"<th>{escape(text)}</th>" for text in HEAD)
-    return f"<table><thead><tr>{head}</tr></thead><tbody>\n" + "\n".join(body) + "\n</tbody></table>"
+        raise InputError("has no rows yet; there is nothing to report.", file=store.out / FILE)
+    environment = store.environment()
+    page = render(
+        "savings.html",
+        run=environment["run"],
+        environment=environment["environment"],
+        identity=environment["identity"],
+        totals=[row for row in rows if row["what"] == EVERYTHING],
+        rules=[row for row in rows if row["what"] != EVERYTHING],
+        failures=read_table(store.out / "failures.csv"),
+        config=(store.out / "config.yaml").read_text(encoding="utf-8"),
+    )
+    try:
+        write_text(store.out / "report.html", page)
+    except OSError as error:
+        raise InputError(f"the report cannot be written ({error.strerror or error}).", file=store.out) from error
+    return store.out / "report.html"

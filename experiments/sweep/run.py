@@ -90,7 +90,7 @@ def run_sweep(
         folder = store.scene(scene.name)
         reported = _rows(folder) if (folder / "report.html").is_file() else None
         try:
-            _run_scene(scene, folder, resume, tell, engine, options)
+            _run_scene(scene, store, failures, resume, tell, engine, options)
         except InputError:
             raise
         except Exception as error:
@@ -116,7 +116,8 @@ def run_sweep(
 
 def _run_scene(
     scene: SweepScene,
-    folder: Path,
+    store: SweepStore,
+    failures: list[Row],
     resume: bool,
     tell: Progress,
     engine: Callable[[Experiment], Engine] | None,
@@ -131,7 +132,7 @@ def _run_scene(
     try:
         run(
             scene.experiment,
-            folder,
+            store.scene(scene.name),
             resume=resume,
             progress=tell,
             engine=made,
@@ -140,8 +141,9 @@ def _run_scene(
             refusals_fail=True,
             **options,
         )
-    except TechniquesFailed:
-        pass  # rows of failures.csv already
+    except TechniquesFailed as failed:
+        if failed.unwritten:  # of the rest there are rows in its failures.csv
+            failures.append(_record(store, scene.name, failed))
 
 
 def _rows(folder: Path) -> tuple[int, int]:

@@ -79,7 +79,7 @@ def write_sweep(out: str | Path, *, recompute: bool = False, scene_failures: Seq
                 write_report(scene.out)
                 store.update_environment(metrics=scene.environment()["metrics"])
     if scene_failures is None:
-        scene_failures = [row for row in store.rows("failures") if not row["label"]]
+        scene_failures = [row for row in store.rows("failures") if row["what"] == "scene"]
     try:
         scenes = write_tables(store, scene_failures)
         if not scenes:

@@ -162,7 +162,8 @@ def test_code_change_changes_the_key(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_every_tracing_module_exists() -> None:
-    stems = {part for path in reference.tracing_files() for part in (path.stem, path.parent.name)}
+    files = reference.tracing_files()
+    stems = {part for path in files for part in (path.stem, path.parent.name, f"{path.parent.name}/{path.stem}")}
     assert set(reference.TRACING_MODULES) <= stems
 
 

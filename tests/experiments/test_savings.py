@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from experiments.config.schema import Experiment, load_experiment
 from experiments.engine import WarpEngine
 from experiments.explain import explain
 from experiments.foreseen import own_omissions, skip_lines
-from experiments.report.savings import savings_section
+from experiments.report.savings import write_savings_report
 from experiments.runner import TechniquesFailed
 from experiments.savings import COLUMNS, EVERYTHING, run_savings, savings_text
 from experiments.tables import read_table
@@ -82,9 +83,10 @@ def test_a_still_view_keeps_its_g_buffer(table: Path) -> None:
 def test_text_and_report_show_every_row(table: Path) -> None:
     rows = read_table(table)
     assert len(savings_text(rows).splitlines()) == len(rows)
-    html = savings_section(rows)
-    assert html.count("<tr") == len(rows) + 1 and html.count("bold") == 4
-    assert savings_section([]) == ""
+    html = write_savings_report(table.parent).read_text(encoding="utf-8")
+    totals = sum(row["what"] == EVERYTHING for row in rows)
+    assert html.count("<tr") == len(rows) + 2 and totals == 4  # and the heads of two tables
+    assert all(escape(row["reason"]) in html for row in rows)
 
 
 def test_resuming_keeps_complete_labels_alone(table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
