@@ -65,8 +65,9 @@ def error_vs_time(
             axes.errorbar(
                 x,
                 y,
-                xerr=[[x - row["frame_ms_q1"]], [row["frame_ms_q3"] - x]],
-                yerr=[[y - row[f"{errors}_q1"]], [row[f"{errors}_q3"] - y]],
+                # a mean over few scenes may lie outside their quartiles
+                xerr=[[max(x - row["frame_ms_q1"], 0.0)], [max(row["frame_ms_q3"] - x, 0.0)]],
+                yerr=[[max(y - row[f"{errors}_q1"], 0.0)], [max(row[f"{errors}_q3"] - y, 0.0)]],
                 fmt=look.marker(row["label"]),
                 color=look.color(row["label"]),
                 markersize=7,

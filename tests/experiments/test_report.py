@@ -23,7 +23,7 @@ from experiments.report import recompute_metrics, write_report
 from experiments.report.fields import LEVELS, decode, encode, evenly, field_frames
 from experiments.report.labels import place_labels
 from experiments.report.pictures import picture_frames
-from experiments.report.plots import per_frame
+from experiments.report.plots import error_vs_time, per_frame
 from experiments.report.style import Look
 from experiments.report.write import headline, number
 from experiments.runner import TechniquesFailed, run
@@ -374,3 +374,17 @@ def test_explain_tells_what_projections_fall_back_to() -> None:
     assert f"wide: {told}" in text and f"fitted: {told}" not in text
     assert "building depth maps that do not follow the eye" in text  # the fake camera moves
     assert "building depth maps and ray structures" in explain(make_experiment([make_run("a")]), PLUGINS)
+
+
+def test_a_mean_outside_its_quartiles_is_drawn() -> None:
+    row = {
+        "label": "a",
+        "frame_ms": 3.0,
+        "frame_ms_q1": 1.0,
+        "frame_ms_q3": 2.0,
+        "rmse": 0.1,
+        "rmse_q1": 0.2,
+        "rmse_q3": 0.3,
+    }
+    table = pd.DataFrame([{**row, "pareto": True, "reference_standard_error": 0.01}])
+    assert isinstance(error_vs_time(table, Look(["a"])), Figure)
