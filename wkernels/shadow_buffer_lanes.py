@@ -124,12 +124,13 @@ def update_shadow_buffer_lanes(
     first_blockers = settings.first_blockers
     counts_tests = settings.counts_tests
     weight = settings.weight
+    worth = settings.effective_share
     limit = settings.storage.limit
     largest = settings.window.largest - 1.0
     agreement = settings.window.agreement
     least_window = settings.window.least
     varies = wp.where(agreement > 0.0, SAME, 2.0)  # no variance is larger than 1/4
-    searches = wp.where(settings.start != START_SAMPLE, 1, 0)
+    searches = wp.where(settings.start != START_SAMPLE, 1, wp.where(settings.kept.count > 0, 1, 0))
     follows = wp.where(settings.followed_samples > 0.0, 1, 0)
     threshold = wp.where(settings.smooths != 0, settings.error_threshold, 2.0)  # no error is larger than 1
     least_samples = wp.where(settings.smooths != 0, settings.least_samples, 0.0)
@@ -150,8 +151,8 @@ def update_shadow_buffer_lanes(
         rho[k] = scale * rho[k] + weight * tau[k]
         n[k] = scale * n[k] + weight
         share = wp.clamp(rho[k] / n[k], 0.0, 1.0)
-        variance = wp.max(share * (1.0 - share), 0.0) / wp.max(n[k] - 1.0, 0.5)
-        deviation = wp.sqrt(wp.where(n[k] > 1.5, variance, 1.0))
+        variance = wp.max(share * (1.0 - share), 0.0) / wp.max(n[k] * worth - 1.0, 0.5)
+        deviation = wp.sqrt(wp.where(n[k] * worth > 1.5, variance, 1.0))
         psi[k] = wp.where(receives[k] != 0, share, float(own_umbra[k]))
         error[k] = wp.where(receives[k] != 0, deviation, 0.0)
         uncertain = wp.where(error[k] > threshold, receives[k], wp.where(n[k] < least_samples, receives[k], 0))

@@ -16,11 +16,14 @@ from wkernels.filtering import pull_footprint
 from wkernels.frame import Session
 from wkernels.gbuffer import PADDING, GBuffer
 from wkernels.history import History
+from wkernels.kept_views import keep_views, pull_view_shelf
 from wkernels.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
+from wkernels.light_importance import RECENT, learn, pull_importance, warp_point
 from wkernels.light_map import Bias
 from wkernels.mesh_motion import pull_mesh_motion
 from wkernels.own_umbra import pull_light_corners
 from wkernels.receiver_lanes import lane_views
+from wkernels.sampling import light_set
 from wkernels.shadow_buffer import BILINEAR, LINEAR, NEAREST, TEXEL_TYPES, storage_of
 from wkernels.shadow_buffer_lanes import update_shadow_buffer_lanes
 from wkernels.shadow_buffer_update import AT_ONCE, DISOCCLUDE, GRADUAL, UPDATE, UpdateSettings
@@ -51,6 +54,9 @@ class StepParams(Protocol):
     least_window: float
     stop_error: float
     stop_samples: int
+    importance: float
+    kept_views: int
+    kept_overlap: float
 
     @property
     def device_bias(self) -> Bias: ...
@@ -95,13 +101,15 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
         out.light_corners = pull_light_corners(frame)
     out.window.largest = p.largest_n if p.largest_n < FLOAT32_LIMIT else UNLIMITED
     out.window.agreement, out.window.least = p.agreement, p.least_window
+    if p.kept_views > 1:
+        out.kept = pull_view_shelf(frame).on_device
     out.has_history = int(history.valid)
     out.has_movers = int(
         p.movers != "ignore"
         and (frame.geometry.moving or not frame.leave_out("tags of moving casters", "nothing moves"))
     )
     out.relative_epsilon, out.texel_steps = out.storage.rounding, HISTORY[p.history]
-    out.half_widths = 0.5
+    out.half_widths, out.effective_share = 0.5, 1.0
     out.movers, out.decrement = int(MOVERS[p.movers]), p.mover_decrement
     if p.mover_surfaces == "own_motion" and frame.geometry.moving and history.previous_index is not None:
         motion = pull_mesh_motion(frame, history.previous_index)
@@ -126,11 +134,20 @@ def is_settled(frame: Session, step: ShadowStep, p: StepParams) -> bool:
 
 def add_sample(frame: Session, step: ShadowStep, settings: UpdateSettings, p: StepParams) -> None:
     """Draws the map of the light's next point and adds its tests to the shadow buffer."""
-    sample = frame.light_samples(1, p.sample_set, start=frame.count)
-    settings.weight = float(sample.weights_host[0])
+    importance = pull_importance(frame)
+    if p.importance > 0.0:
+        u = light_set(p.sample_set, 1, 3, frame.count, 0 if frame.seed == 1 else frame.seed + 1)
+        point, weight, importance.stratum = warp_point(u[0], importance.density(p.importance))
+        host = frame.light.sample(point[None])[0]
+        settings.weight = weight * float(frame.light.weights(point[None])[0])
+    else:
+        sample = frame.light_samples(1, p.sample_set, start=frame.count)
+        host, settings.weight = sample.host[0], float(sample.weights_host[0])
+    importance.weights = [*importance.weights[-RECENT:], settings.weight]
+    settings.effective_share = importance.effective_share()
     light_map = frame.light_map(
         p.resolution,
-        sample.host[0],
+        host,
         slot="sample of the frame",
         cull=p.cull,
         tag_moving_casters=bool(settings.has_movers),
@@ -148,3 +165,7 @@ def add_sample(frame: Session, step: ShadowStep, settings: UpdateSettings, p: St
             frame.launch(update_shadow_buffer_lanes, runs, [*flat, *inputs], outputs)
         else:
             frame.launch(UPDATE[TEXEL_TYPES[p.buffer]], shape, inputs, outputs)
+        if p.importance > 0.0:
+            learn(frame, gbuffer, light_map, settings.bias, step.psi)
+        if p.kept_views > 1:
+            keep_views(frame, history, gbuffer.view, p.kept_views - 1, p.kept_overlap)

@@ -29,6 +29,8 @@ the printed form is worth a look:
   and 1 % less error along the three walkthroughs.
 - ``history``: ``linear`` is the shader's; it mixes tags and sentinels of four texels. ``bilinear`` tests each texel, on
   the receiver's plane.
+- ``kept_views`` and ``importance``: shadow buffers of earlier views, and more samples where pixels contest the light;
+  neither is published.
 - s_min and s_max are the shader's, 1/50 and 1/5; the text's example has 1/32 and 1/8. The gate is the text's n < 16.
 - Divisions by a depth or count of 0 (5.18 on the first frame) are guarded. The blur reads this frame's psi, as in the
   text; the shader reads the last frame's. A search that meets a moving blocker tags its pixel, too.
