@@ -17,6 +17,15 @@ class ShadowBufferParams(MapParams):
     sample_set: Literal["halton", "r2", "poisson_disc", "stratified", "random"] = setting(
         "halton", "point set on the light", unit="name", source="Scherzer 2009, sec. 4"
     )
+    importance: float = setting(
+        0.0,
+        "share of the samples that go where pixels contest the light, weighted by the inverse of their density; "
+        "published: 0",
+        unit="1",
+        source="Scherzer 2009, sec. 5",
+        ge=0.0,
+        le=0.9,
+    )
     filter: bool = setting(
         True, "smooth what is shown while its error is large", unit="yes/no", source="Scherzer 2009, sec. 3.3"
     )
@@ -73,6 +82,21 @@ class ShadowBufferParams(MapParams):
     )
     stop_samples: int = setting(
         256, "still frames before that, as few tests that agree promise too much", unit="frames", ge=2, le=2**22
+    )
+    kept_views: int = setting(
+        1,
+        "shadow buffers in which new points are looked for: the last frame's, as published, and of earlier views, 16 "
+        "bytes a pixel each",
+        unit="buffers",
+        ge=1,
+        le=4,
+    )
+    kept_overlap: float = setting(
+        0.75,
+        "a buffer is kept once less than this share of what it holds is still in view",
+        unit="1",
+        gt=0.0,
+        le=1.0,
     )
     movers: Movers = setting(
         "disocclude",

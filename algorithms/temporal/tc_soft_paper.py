@@ -32,6 +32,8 @@ Deviations, where the paper is silent or wrong:
 - Equation 7 counts frames, but only frames with a blocker add to its sum: shadowed samples are counted.
 - n stops at 2048 in the published float16 buffer while rho goes on: ``buffer: float16`` halves both at 1024 (float32
   at 2^22). ``cap: false`` leaves that out: a psi of 0.3 reaches 1 near frame 6800.
+- ``kept_views`` (shadow buffers of views that a cut may come back to) and ``importance`` (a light that is sampled where
+  pixels contest it) are the paper's future work and beyond; both are off.
 - Under a mover's shadow the sums of a frame are shown, not stored, nor is a start whose blocker search met a mover: the
   next frame starts anew, so that nothing trails. ``movers`` has the ways of Schwaerzler 2009 besides, and none at all.
 - ``mover_map: centre`` is their proposal for moving objects (section 5): a second map that holds nothing else

@@ -32,6 +32,8 @@ the printed form is worth a look:
 - ``mover_map: centre``: as in ``tc_soft_paper``.
 - ``lights``: as in ``tc_soft_paper``.
 - ``ageing``: light that moves is left open there (section 5.4.1); as in ``tc_soft_paper``.
+- ``kept_views`` and ``importance``: shadow buffers of earlier views, and more samples where pixels contest the light;
+  neither is published.
 - s_min and s_max are the shader's, 1/50 and 1/5; the text's example has 1/32 and 1/8. The gate is the text's n < 16.
 - Divisions by a depth or count of 0 (5.18 on the first frame) are guarded. The blur reads this frame's psi, as in the
   text; the shader reads the last frame's. A search that meets a moving blocker tags its pixel, too.

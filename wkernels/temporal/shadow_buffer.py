@@ -18,7 +18,7 @@ from wkernels.temporal.estimators import FLOAT16_LIMIT, FLOAT32_LIMIT, UNLIMITED
 from wkernels.temporal.reprojection import accept_absolute, is_inside, reproject
 from wkernels.views import View, pixel_along_ws, pixel_base_ws
 
-BILINEAR, NEAREST, LINEAR = 256.0, 1.0, 0.0
+BILINEAR, NEAREST, LINEAR = wp.constant(256.0), wp.constant(1.0), wp.constant(0.0)
 """Steps a texel for ``fetch_record``. With the nearest texel history sticks to the screen under an eye that moves by
 less than half a pixel a frame; at 0.3 pixels and 64 frames that makes the error of a penumbra five times larger. None
 at all stands for ``fetch_linear``."""

@@ -24,6 +24,7 @@ from wkernels.light_maps.light_map import LightMap
 from wkernels.light_maps.receiver_lanes import LaneViews, ReceiverRun, locate_run
 from wkernels.temporal.estimators import NO_WINDOW
 from wkernels.temporal.history_lanes import HistoryRun, PointRun, fetch_run, place_run, points_of_run
+from wkernels.temporal.kept_views import fetch_kept_run
 from wkernels.temporal.own_umbra import own_umbra_run
 from wkernels.temporal.sample_window import SAME
 from wkernels.temporal.shadow_buffer_update import (
@@ -168,6 +169,19 @@ def update_shadow_buffer_lanes(
         history = fetch_run(
             flat_previous, previous_view, points, places, settings.depth_epsilon, settings.relative_epsilon
         )
+        if settings.kept.count > 0:
+            history = fetch_kept_run(
+                settings.kept,
+                gbuffer,
+                x0,
+                y,
+                held,
+                wanted,
+                history,
+                settings.texel_steps,
+                settings.depth_epsilon,
+                settings.relative_epsilon,
+            )
     rho = history.rho
     n = history.n
     rises = history.blocker_rise
@@ -218,6 +232,7 @@ def update_shadow_buffer_lanes(
     error = Floats(0.0)
     first_blockers = settings.first_blockers
     counts_tests = settings.counts_tests
+    worth = settings.effective_share
     limit = settings.storage.limit
     estimates = wp.where(settings.start == START_PCSS, 1, 0)
     start_weight = settings.start_weight
@@ -244,8 +259,8 @@ def update_shadow_buffer_lanes(
         rho[k] = wp.where(estimated != 0, start_weight * tau[k], scale * rho[k] + weight * tau[k])
         n[k] = wp.where(estimated != 0, start_weight, scale * n[k] + weight)
         share = wp.clamp(rho[k] / n[k], 0.0, 1.0)
-        variance = wp.max(share * (1.0 - share), 0.0) / wp.max(n[k] - 1.0, 0.5)
-        deviation = wp.sqrt(wp.where(n[k] > 1.5, variance, 1.0))
+        variance = wp.max(share * (1.0 - share), 0.0) / wp.max(n[k] * worth - 1.0, 0.5)
+        deviation = wp.sqrt(wp.where(n[k] * worth > 1.5, variance, 1.0))
         psi[k] = wp.where(receives[k] != 0, share, float(own_umbra[k]))
         error[k] = wp.where(receives[k] != 0, deviation, 0.0)
         few = wp.where(n[k] < least_samples, receives[k], estimated * smooths)

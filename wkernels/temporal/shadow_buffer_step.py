@@ -17,11 +17,15 @@ from wkernels.filtering_lanes import flat_half_axes
 from wkernels.frame import Session
 from wkernels.gbuffer import PADDING, GBuffer
 from wkernels.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
+from wkernels.light_importance import RECENT, learn, pull_importance, warp_point
 from wkernels.light_maps.light_map import Bias, LightMap
 from wkernels.light_maps.receiver_lanes import lane_views
 from wkernels.light_motion import ageing_window, displacement
+from wkernels.lights import Light
+from wkernels.sampling import light_set
 from wkernels.temporal.estimators import FLOAT32_LIMIT, UNLIMITED
 from wkernels.temporal.history import History
+from wkernels.temporal.kept_views import keep_views, pull_view_shelf
 from wkernels.temporal.many_lights import BLACK_LIGHT, JOIN, drawn_light, light_weights
 from wkernels.temporal.mesh_motion import pull_mesh_motion
 from wkernels.temporal.mover_shadow import add_mover_shadows, has_own_map
@@ -67,6 +71,9 @@ class StepParams(Protocol):
     least_window: float
     stop_error: float
     stop_samples: int
+    importance: float
+    kept_views: int
+    kept_overlap: float
 
     @property
     def device_bias(self) -> Bias: ...
@@ -115,11 +122,13 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
     out.window.agreement, out.window.least = p.agreement, p.least_window
     out.has_history = int(history.valid)
     apart = has_own_map(frame, p)
+    if keeps_views(frame, p):
+        out.kept = pull_view_shelf(frame, seen_lights(frame, p)).on_device
     out.has_movers = int(
         not apart and p.movers != "ignore" and (frame.geometry.casters_move or not frame.leave_out(*UNTAGGED))
     )
     out.relative_epsilon, out.texel_steps = out.storage.rounding, HISTORY[p.history]
-    out.half_widths = 0.5
+    out.half_widths, out.effective_share = 0.5, 1.0
     out.movers, out.decrement = int(MOVERS[p.movers]), p.mover_decrement
     if p.mover_surfaces == "own_motion" and frame.geometry.moving and history.previous_index is not None:
         motion = pull_mesh_motion(frame, history.previous_index)
@@ -161,7 +170,26 @@ def add_sample(frame: Session, step: ShadowStep, settings: UpdateSettings, p: St
     """Draws the map of the light's next point and adds its tests to the shadow buffer; or those of several lights."""
     if not several_lights(frame, p):
         _update(frame, step, settings, p)
-        return
+    else:
+        _update_by_several(frame, step, settings, p)
+    if keeps_views(frame, p):
+        with frame.timed("kept views"):
+            shelf = pull_view_shelf(frame, seen_lights(frame, p))
+            keep_views(frame, shelf, step.history, step.gbuffer.view, p.kept_views - 1, p.kept_overlap)
+
+
+def keeps_views(frame: Session, p: StepParams) -> bool:
+    """Whether buffers of earlier views are kept; not where they hold old shadows of movers that nothing tags."""
+    untagged = p.movers == "ignore" and p.mover_map == "none" and frame.geometry.casters_move
+    return p.kept_views > 1 and not untagged
+
+
+def seen_lights(frame: Session, p: StepParams) -> list[Light]:
+    """The lights that psi is of."""
+    return list(frame.lights.lights) if several_lights(frame, p) else [frame.light]
+
+
+def _update_by_several(frame: Session, step: ShadowStep, settings: UpdateSettings, p: StepParams) -> None:
     weights, asked = light_weights(frame.lights.lights), frame.lights.index
     try:
         if p.lights == "drawn":
@@ -217,16 +245,25 @@ def _draw(
     frame: Session, step: ShadowStep, settings: UpdateSettings, p: StepParams, slot: Hashable
 ) -> tuple[LightMap, float]:
     """The map of the next point of the light that is asked for, and the point's weight."""
-    sample = frame.light_samples(1, p.sample_set, start=frame.count)
+    if p.importance > 0.0:
+        importance = pull_importance(frame)
+        u = light_set(p.sample_set, 1, 3, frame.count, 0 if frame.seed == 1 else frame.seed + 1)
+        point, weight, importance.stratum = warp_point(u[0], importance.density(p.importance))
+        host, weight = frame.light.sample(point[None])[0], weight * float(frame.light.weights(point[None])[0])
+        importance.weights = [*importance.weights[-RECENT:], weight]
+        settings.effective_share = importance.effective_share()
+    else:
+        sample = frame.light_samples(1, p.sample_set, start=frame.count)
+        host, weight = sample.host[0], float(sample.weights_host[0])
     light_map = frame.light_map(
         p.resolution,
-        sample.host[0],
+        host,
         slot=("sample of the frame", slot),
         cull=p.cull,
         tag_moving_casters=bool(settings.has_movers),
         casters="still" if step.apart else "all",
     )
-    return light_map, float(sample.weights_host[0])
+    return light_map, weight
 
 
 def _update(
@@ -254,6 +291,8 @@ def _update(
             frame.launch(update_shadow_buffer_lanes, runs, [*flat, *maps, *inputs], outputs)
         else:
             frame.launch(UPDATE[TEXEL_TYPES[p.buffer]], shape, [*maps, *inputs], outputs)
+    if p.importance > 0.0:
+        learn(frame, gbuffer, light_map, settings.bias, step.psi_depth)
 
 
 def end_step(frame: Session, step: ShadowStep, p: StepParams, visibility_out: wp.array) -> None:

@@ -23,10 +23,12 @@ from wkernels.gbuffer import GBuffer
 from wkernels.geometry import MOVES, RECEIVES
 from wkernels.light_maps.light_map import Bias, LightMap, Receiver, locate, receiver_depth_at, stored_depth
 from wkernels.temporal.estimators import add_test, age_sums, fade_out, hidden_share, standard_error
+from wkernels.temporal.kept_views import KeptViews, fetch_kept
 from wkernels.temporal.neighbourhood_filter import pixels_per_length
 from wkernels.temporal.own_umbra import is_own_umbra
 from wkernels.temporal.sample_window import SampleWindow, shorten, window_of
 from wkernels.temporal.shadow_buffer import (
+    BILINEAR,
     TEXEL_TYPES,
     ShadowRecord,
     Storage,
@@ -58,8 +60,10 @@ class UpdateSettings:
     storage: Storage
     light_corners: wp.array(dtype=wp.vec4)  # of its hull: what turns away from all of it is dark at once; none: tested
     window: SampleWindow
+    kept: KeptViews  # where points that are new to the last frame are looked for
     weight: float  # of this frame's light sample
     light_window: float  # tests that count where the light moves, ``age_sums``; 0: all do
+    effective_share: float  # independent tests that a unit of n is worth, less than 1 where weights differ
     light_size: float  # L: scene units, or 2 tan(angle / 2)
     has_history: int
     has_movers: int
@@ -163,6 +167,17 @@ def update_pixel(
         moves = test.moves
         if settings.has_history != 0 and moves == 0:
             record = fetch_history(previous, previous_view, gbuffer, y, x, settings)
+            if record.n <= 0.0 and settings.kept.count > 0 and (gbuffer.flags[y, x] & MOVES) == 0:
+                found_before = fetch_kept(
+                    settings.kept,
+                    position_ws,
+                    gbuffer.normal_ws[y, x],
+                    settings.depth_epsilon,
+                    settings.relative_epsilon,
+                    wp.where(settings.texel_steps > 0.0, settings.texel_steps, BILINEAR),
+                )
+                if found_before.n > 0.0:
+                    record = found_before
         was_known = record.n > 0.0
         if record.of_mover != 0:
             # no shadow of a mover any more: its sums go
@@ -226,7 +241,7 @@ def update_pixel(
         record.depth = gbuffer.depth[y, x]
 
         psi = hidden_share(record.rho, record.n)
-        error = standard_error(psi, record.n)
+        error = standard_error(psi, record.n * settings.effective_share)
         is_uncertain = is_estimated or record.n < settings.least_samples or error > settings.error_threshold
         if settings.smooths != 0 and is_uncertain and record.blocker_rise > 0.0:
             # equation 6, from the depth of the point itself: it may be turned away from this sample, if not from all

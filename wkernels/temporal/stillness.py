@@ -15,6 +15,7 @@ class Stillness:
 
     stamp: Hashable = None
     frames: int = 0
+    counted: int = -1
 
 
 def count_still_frames(frame: Session) -> int:
@@ -22,10 +23,12 @@ def count_still_frames(frame: Session) -> int:
 
     def build(old: Stillness | None) -> Stillness:
         out = old or Stillness()
+        if out.counted == frame.count:  # the same frame once more
+            return out
         lights = tuple((light.hull.tobytes(), light.centre.tobytes()) for light in frame.lights.lights)
         stamp = (frame.geometry.version, views_stamp([frame.eye()]), lights)
         out.frames = out.frames + 1 if stamp == out.stamp else 0
-        out.stamp = stamp
+        out.stamp, out.counted = stamp, frame.count
         return out
 
     held: Stillness = frame.product("still frames", "still frames", frame.count, build)

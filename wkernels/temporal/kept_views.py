@@ -1,0 +1,258 @@
+"""Shadow buffers of earlier views, kept so that a cut back to them does not begin anew.
+
+A buffer is put aside once the eye has left a share of what it holds: by a cut at once, or step by step by a turn or a
+flight. Points that are new to the last frame's buffer are looked for in those, and what knows most of a point is taken.
+A kept buffer takes 16 bytes a pixel. Nothing is read of moving casters' shadows, nor anything once the light has moved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from wkernels.frame import Session
+from wkernels.gbuffer import GBuffer
+from wkernels.geometry import MOVES
+from wkernels.lanes import Ints
+from wkernels.lights import Light
+from wkernels.temporal.history import History
+from wkernels.temporal.history_lanes import HistoryRun
+from wkernels.temporal.reprojection import accept_absolute, is_inside, reproject
+from wkernels.temporal.shadow_buffer import TEXEL_TYPES, ShadowRecord, fetch_record, read_record
+from wkernels.views import View, pixel_along_ws, pixel_base_ws
+
+PROBES = (18, 32)  # rows and columns of points by which overlaps are measured
+REDUNDANT = 0.75  # share of a kept buffer's points that another view sees, from which on one of both is enough
+SAME_DEPTH = wp.constant(0.02)  # share of the depth within which a probe is taken for seen: it is a matter of shares
+WELL_KNOWN = 64.0  # tests behind a point from which on more are no reason to keep it
+
+
+@wp.struct
+class KeptViews:
+    """Buffers that were put aside, on the device."""
+
+    count: int
+    texels: wp.array3d(dtype=wp.vec4)  # (slots, H, W)
+    views: wp.array(dtype=View)  # (slots,)
+
+
+@wp.func
+def fetch_kept(
+    kept: KeptViews, position_ws: wp.vec3, normal_ws: wp.vec3, epsilon: float, relative: float, steps: float
+) -> ShadowRecord:
+    """``fetch_record`` of the kept buffer that knows most of a point; n = 0 where none does."""
+    result = ShadowRecord()
+    for i in range(kept.count):
+        held = fetch_record(kept.texels[i], kept.views[i], position_ws, normal_ws, epsilon, relative, steps)
+        if held.n > result.n and held.of_mover == 0:
+            result = held
+    return result
+
+
+@wp.func
+def fetch_kept_run(
+    kept: KeptViews,
+    gbuffer: GBuffer,
+    x0: int,
+    y: int,
+    held: int,
+    wanted: Ints,
+    history: HistoryRun,
+    steps: float,
+    epsilon: float,
+    relative: float,
+):
+    """A run's history, with ``fetch_kept`` in those wanted lanes (1) that the last frame's buffer knows nothing of.
+
+    One pixel at a time: few frames have many such pixels, and each finds its own texels.
+    """
+    rho = history.rho
+    n = history.n
+    rise = history.blocker_rise
+    spread = history.spread
+    of_mover = history.of_mover
+    for k in range(held):
+        if wanted[k] != 0 and n[k] <= 0.0 and of_mover[k] == 0 and (gbuffer.flags[y, x0 + k] & MOVES) == 0:
+            record = fetch_kept(
+                kept, gbuffer.position_ws[y, x0 + k], gbuffer.normal_ws[y, x0 + k], epsilon, relative, steps
+            )
+            if record.n > 0.0:
+                rho[k] = record.rho
+                n[k] = record.n
+                rise[k] = record.blocker_rise
+                spread[k] = record.spread
+    out = HistoryRun()
+    out.rho = rho
+    out.n = n
+    out.blocker_rise = rise
+    out.of_mover = of_mover
+    out.spread = spread
+    return out
+
+
+@wp.kernel
+def probe_points(first: int, texels: wp.array2d(dtype=Any), view: View, points_out: wp.array2d(dtype=wp.vec4)):
+    """Points of a shadow buffer on a coarse grid, and what is known of each.
+
+    Args:
+        first: Tile offset.
+        texels: The buffer, (H, W), written for ``view``.
+        view: Where the eye was.
+        points_out: Rebased world and n, ``PROBES``; n = 0 where nothing is known.
+    """
+    row, column = wp.tid()
+    line = first + row
+    y = (2 * line + 1) * texels.shape[0] // (2 * points_out.shape[0])
+    x = (2 * column + 1) * texels.shape[1] // (2 * points_out.shape[1])
+    held = read_record(texels, y, x, view.far)
+    at_x = float(x) + 0.5
+    at_y = float(y) + 0.5
+    point = wp.vec3()
+    if held.n > 0.0:
+        point = pixel_base_ws(view, at_x, at_y) + held.depth * pixel_along_ws(view, at_x, at_y)
+    points_out[line, column] = wp.vec4(point[0], point[1], point[2], held.n)
+
+
+PROBE = {texel: wp.overload(probe_points, {"texels": wp.array2d(dtype=texel)}) for texel in TEXEL_TYPES.values()}
+
+
+@wp.kernel
+def put_aside(first: int, texels: wp.array2d(dtype=Any), slot: int, kept_out: wp.array3d(dtype=wp.vec4)):
+    """Copies a shadow buffer, of whatever format, into a slot."""
+    row, x = wp.tid()
+    y = first + row
+    held = texels[y, x]
+    kept_out[slot, y, x] = wp.vec4(float(held[0]), float(held[1]), float(held[2]), float(held[3]))
+
+
+PUT_ASIDE = {texel: wp.overload(put_aside, {"texels": wp.array2d(dtype=texel)}) for texel in TEXEL_TYPES.values()}
+
+
+@wp.kernel
+def see_points(
+    first: int,
+    points: wp.array2d(dtype=wp.vec4),
+    texels: wp.array2d(dtype=Any),
+    view: View,
+    seen_out: wp.array2d(dtype=int),
+):
+    """Whether a shadow buffer shows ``probe_points`` of another: inside its view, and at its depth there.
+
+    Args:
+        first: Tile offset.
+        points: Rebased world and n.
+        texels: The buffer, (H, W), written for ``view``.
+        view: Where the eye was.
+        seen_out: 1 or 0; -1 where the point is none.
+    """
+    row, column = wp.tid()
+    line = first + row
+    point = points[line, column]
+    seen = int(-1)
+    if point[3] > 0.0:
+        seen = 0
+        at = reproject(view, wp.vec3(point[0], point[1], point[2]))
+        if is_inside(view, at[0], at[1]):
+            held = read_record(texels, int(at[1]), int(at[0]), view.far)
+            if accept_absolute(at[2], held.depth, SAME_DEPTH * held.depth):
+                seen = 1
+    seen_out[line, column] = seen
+
+
+SEE = {texel: wp.overload(see_points, {"texels": wp.array2d(dtype=texel)}) for texel in TEXEL_TYPES.values()}
+
+
+def seen_share(frame: Session, points: wp.array, texels: wp.array, view: View) -> float:
+    """Share of ``probe_points`` that the buffer ``texels`` of ``view`` shows; 1 of none."""
+    seen = frame.buffer("seen probes", points.shape, wp.int32)
+    frame.launch(SEE[texels.dtype], points.shape, [points, texels, view], [seen])
+    known = seen.numpy()[seen.numpy() >= 0]
+    return float(known.mean()) if known.size else 1.0
+
+
+def _knowledge(points: wp.array) -> float:
+    return float(np.minimum(points.numpy()[..., 3], WELL_KNOWN).sum())
+
+
+@dataclass
+class ViewShelf:
+    """What is kept from frame to frame.
+
+    Attributes:
+        on_device: For kernels.
+        views: Of each slot in use.
+        points: Probes of each slot in use, ``PROBES``.
+        anchor: Probes of the first frame since a buffer was put aside last; how much of them is still seen tells how
+            far the eye has come.
+        lights: Whose tests all sums are of.
+    """
+
+    on_device: KeptViews = field(default_factory=KeptViews)
+    views: list[View] = field(default_factory=list)
+    points: list[wp.array] = field(default_factory=list)
+    anchor: wp.array | None = None
+    lights: Hashable = None
+
+    def choose(self, knowledge: float, overlaps: list[float], slots: int) -> int | None:
+        """The slot for a buffer that knows so much and shows ``overlaps`` of those in use; None if they know more.
+
+        One that shows about the same makes room first, else a free one, else the one that knows least.
+        """
+        known = [_knowledge(points) for points in self.points]
+        if overlaps and max(overlaps) >= REDUNDANT:
+            slot = int(np.argmax(overlaps))
+        elif len(known) < slots:
+            return len(known)
+        else:
+            slot = int(np.argmin(known))
+        return slot if knowledge >= known[slot] else None
+
+
+def pull_view_shelf(frame: Session, lights: Sequence[Light]) -> ViewShelf:
+    """What earlier frames have put aside; nothing once one of the lights that its sums are of has changed."""
+
+    def build(old: ViewShelf | None) -> ViewShelf:
+        sums_of = tuple((light.hull.tobytes(), light.centre.tobytes(), tuple(light.radiance)) for light in lights)
+        return old if old is not None and old.lights == sums_of else ViewShelf(lights=sums_of)
+
+    shelf: ViewShelf = frame.product("kept views", "kept views", frame.count, build)
+    return shelf
+
+
+def keep_views(frame: Session, shelf: ViewShelf, history: History, view: View, slots: int, overlap: float) -> None:
+    """Puts the last frame's buffer aside if this frame's, which must be written, shows too little of it.
+
+    Reads some hundred numbers back from the device.
+
+    Args:
+        frame: Being rendered.
+        shelf: Of the same frame.
+        history: Its shadow buffer, a key of ``TEXEL_TYPES``.
+        view: Of ``history.current``.
+        slots: Buffers kept besides the last frame's, at least 1.
+        overlap: Share of what was seen, by the last frame or since a buffer was put aside last, below which it is.
+    """
+    if not history.valid or history.previous_view is None:
+        return
+    previous, before = history.previous, history.previous_view
+    texel = previous.dtype
+    points = frame.buffer("probes of a view", PROBES, wp.vec4)
+    frame.launch(PROBE[texel], PROBES, [previous, before], [points])
+    if shelf.anchor is None:
+        shelf.anchor = wp.clone(points)
+    seen = [seen_share(frame, probes, history.current, view) for probes in (points, shelf.anchor)]
+    if min(seen) >= overlap:
+        return
+    shelf.anchor = None
+    slot = shelf.choose(_knowledge(points), [seen_share(frame, p, previous, before) for p in shelf.points], slots)
+    if slot is not None:
+        texels = frame.buffer("kept views", (slots, *previous.shape), wp.vec4)
+        frame.launch(PUT_ASIDE[texel], previous.shape, [previous, slot], [texels])
+        shelf.views[slot : slot + 1] = [before]
+        shelf.points[slot : slot + 1] = [wp.clone(points)]
+        shelf.on_device.count, shelf.on_device.texels = len(shelf.views), texels
+        shelf.on_device.views = wp.array(shelf.views, dtype=View, device=frame.device)
