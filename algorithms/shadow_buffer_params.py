@@ -172,3 +172,9 @@ class ShadowBufferParams(MapParams):
         if self.lights != "asked" and self.mover_map != "none":
             raise ValueError("mover_map has a map of one light: it goes with lights: asked only")
         return self
+
+    @model_validator(mode="after")
+    def _one_light_of_importance(self) -> Any:
+        if self.lights != "asked" and self.importance > 0.0:
+            raise ValueError("importance is learnt of one light: it goes with lights: asked only")
+        return self

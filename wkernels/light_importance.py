@@ -17,6 +17,7 @@ from wkernels.frame import Session
 from wkernels.gbuffer import GBuffer
 from wkernels.geometry import RECEIVES
 from wkernels.light_maps.light_map import Bias, LightMap
+from wkernels.sampling import light_set
 from wkernels.temporal.shadow_buffer import shadow_test
 
 SIDE = 4  # strata along each coordinate of the light
@@ -61,11 +62,17 @@ class LightImportance:
         contest: Sum of contest, and visits behind it, of each stratum; float64 (2, SIDE, SIDE).
         weights: Of the last ``RECENT`` samples.
         stratum: Of the last sample, or None.
+        host: That sample, (4,) as ``Light.sample`` returns it. weight: Its weight.
+        drawn: Count of its frame. learnt: Count of the frame whose map was measured last.
     """
 
     contest: np.ndarray = field(default_factory=lambda: np.zeros((2, SIDE, SIDE)))
     weights: list[float] = field(default_factory=list)
     stratum: tuple[int, int] | None = None
+    host: np.ndarray = field(default_factory=lambda: np.zeros(4))
+    weight: float = 1.0
+    drawn: int = -1
+    learnt: int = -1
 
     def add(self, stratum: tuple[int, int], contest: float) -> None:
         """One more measurement of a stratum."""
@@ -127,11 +134,25 @@ def pull_importance(frame: Session) -> LightImportance:
     return held
 
 
+def draw_important(frame: Session, sample_set: str, share: float) -> LightImportance:
+    """Draws the frame's point of the light, the same one however often the frame is rendered."""
+    held = pull_importance(frame)
+    if held.drawn != frame.count:
+        u = light_set(sample_set, 1, 3, frame.count, 0 if frame.seed == 1 else frame.seed + 1)
+        point, weight, held.stratum = warp_point(u[0], held.density(share))
+        held.host = frame.light.sample(point[None])[0]
+        held.weight = weight * float(frame.light.weights(point[None])[0])
+        held.weights = [*held.weights[1 - RECENT :], held.weight]
+        held.drawn = frame.count
+    return held
+
+
 def learn(frame: Session, gbuffer: GBuffer, light_map: LightMap, bias: Bias, psi_depth: wp.array) -> None:
     """Adds what a frame's map says of the stratum of its sample; reads some thousand numbers back from the device."""
     held = pull_importance(frame)
-    if held.stratum is None:
+    if held.stratum is None or held.learnt == frame.count:
         return
+    held.learnt = frame.count
     out = frame.buffer("contest of a light sample", PROBES, wp.float32)
     frame.launch(measure_contest, PROBES, [gbuffer, light_map, bias, psi_depth], [out])
     contest = out.numpy()

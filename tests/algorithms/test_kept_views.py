@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,10 @@ from test_shadow_buffer import EYE, HEIGHT, WIDTH, fetch_twin, ground_depth, ray
 from algorithms.plugins import find
 from wkernels.frame import Session
 from wkernels.geometry import Geometry
+from wkernels.lanes import uses_lanes
 from wkernels.launch import launch
 from wkernels.scene import Camera, Scene
+from wkernels.temporal import shadow_buffer_step
 from wkernels.temporal.kept_views import PROBE, PUT_ASIDE, SEE, KeptViews, ViewShelf, fetch_kept, pull_view_shelf
 from wkernels.temporal.shadow_buffer import BILINEAR, TEXEL_TYPES
 from wkernels.views import View
@@ -157,12 +160,81 @@ def test_after_a_cut_back_the_error_is_that_before_the_cut(name: str, buffer: st
     assert len(held) == 1 and held[0].capacity == 16 * held[0].shape[1] * held[0].shape[2]
 
 
-def test_a_light_that_moves_voids_what_was_kept(device: str) -> None:
+def test_in_lanes_a_cut_back_finds_the_same(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not uses_lanes(device):
+        pytest.skip("lane kernels run on the CPU only")
     lamp = small.light("rectangle", (2.0, 8.0, 1.0), 2.5)
-    _, session = walk(small.box_on_ground(lamp, a_b_a), device, 48, "tc_soft_paper", kept_views=4)
+    ground = small.mesh("ground", small.plane(80.0))
+    scene = small.scene([ground, *small.cluttered(lamp).meshes[1:]], lamp, lambda i: a_b_a(i + 20))
+    ends = []
+    for lanes in (False, True):
+        monkeypatch.setattr(shadow_buffer_step, "uses_lanes", lambda device, lanes=lanes: lanes)
+        out, session = walk(scene, device, 31, "tc_soft_paper", kept_views=2)
+        ends.append((out[-1].visibility, session.history("shadow buffer", lambda: None).previous.numpy()))
+    (plain, held), (run, held_run) = ends
+    assert (held[..., 1] == 21.0).mean() > 0.5, "what was known before the cut"
+    # a texel that just passes or just fails its depth test
+    assert (np.abs(held_run - held).max(axis=-1) > 1e-3).mean() < 0.01
+    assert (np.nan_to_num(np.abs(run - plain)) > 1e-4).mean() < 0.01
+
+
+def test_a_frame_is_the_same_however_often_it_is_rendered(device: str) -> None:
+    lamp = small.light("rectangle", (2.0, 8.0, 1.0), 2.5)
+    session = Session(Geometry(small.box_on_ground(lamp, a_b_a), device), width=80, height=60, device=device)
+    plugin: Any = find("tc_soft_paper")
+    technique = plugin(plugin.Params(resolution=256, kept_views=2))
+    for index in (36, 37, 38, 39, 40, 41, 50):
+        images = []
+        for _ in range(2):
+            session.begin(index)
+            images.append(session.render(technique).visibility)
+        np.testing.assert_array_equal(*images)
+        session.advance()
+    assert pull_view_shelf(session, [session.light]).on_device.count == 1
+
+
+@pytest.mark.parametrize("name", ["tc_soft_paper", "tc_soft_thesis"])
+@pytest.mark.parametrize("lights", ["all", "drawn"])
+def test_sums_of_several_lights_survive_a_cut(lights: str, name: str, device: str) -> None:
+    lamps = (small.light("rectangle", (2.0, 8.0, 1.0), 2.5), small.light("disc", (-3.0, 7.0, 1.0), 2.0))
+    scene = replace(small.box_on_ground(lamps[0], lambda i: a_b_a(i + 20)), lights=lamps)
+    n = {}
+    for kept in (1, 2):
+        _, session = walk(scene, device, 31, name, kept_views=kept, lights=lights)
+        texels = session.history("shadow buffer", lambda: None).previous.numpy()
+        n[kept] = float(np.median(texels[..., 1][texels[..., 1] > 0.0]))
+        n[-kept] = float(texels[..., 0].sum() / texels[..., 1].sum())
+    tests = 2.0 if lights == "all" else 1.0
+    assert n[2] == pytest.approx(21 * tests) and n[1] == pytest.approx(tests), n
+    assert abs(n[-2] - n[-1]) < 0.02, "the same shadows"
+
+
+@pytest.mark.parametrize("params", [{}, {"movers": "gradual"}, {"mover_map": "centre"}, {"movers": "ignore"}])
+def test_no_shadow_of_a_mover_comes_back(params: dict[str, Any], device: str) -> None:
+    """A box that has gone while the eye looked away: where its shadow was it is as bright as without kept views."""
+    lamp = small.light("rectangle", (2.0, 8.0, 1.0), 2.5)
+    still = small.box_on_ground(lamp, lambda i: a_b_a(i + 20))
+    scene = small.moved(still, 1, lambda i: 0.0 if i < 20 else 40.0)
+    images = {}
+    for kept in (1, 2):
+        images[kept], _ = walk(scene, device, 31, "tc_soft_paper", kept_views=kept, **params)
+    then, now, plain = images[2][19].visibility, images[2][30].visibility, images[1][30].visibility
+    was_dark = (then < 0.5) & (plain > 0.95)
+    assert was_dark.sum() > 50
+    assert now[was_dark].min() > 0.9, (params, now[was_dark].min())
+
+
+def test_a_light_that_moves_voids_what_was_kept(device: str) -> None:
+    def motion(frame: int) -> np.ndarray:
+        out = np.eye(4)
+        out[0, 3] = 0.5 if frame >= 48 else 0.0
+        return out
+
+    lamp = replace(small.light("rectangle", (2.0, 8.0, 1.0), 2.5), motion=motion)
+    scene = small.box_on_ground(lamp, a_b_a)
+    _, session = walk(scene, device, 48, "tc_soft_paper", kept_views=4)
     held = pull_view_shelf(session, [session.light])
     assert held.on_device.count == 1 and len(held.views) == 1
-    session.light = lamp.moved(np.array([0.5, 0.0, 0.0]))
     session.begin(48)
     plugin: Any = find("tc_soft_paper")
     session.render(plugin(plugin.Params(resolution=64, kept_views=4)))

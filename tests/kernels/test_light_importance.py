@@ -85,7 +85,7 @@ def test_n_is_worth_less_where_weights_differ() -> None:
 
 
 @wp.kernel
-def tests_of_pixels(first: int, gbuffer: GBuffer, light_map: LightMap, bias: Bias, out: wp.array2d(dtype=float)):
+def hard_tests(first: int, gbuffer: GBuffer, light_map: LightMap, bias: Bias, out: wp.array2d(dtype=float)):
     row, x = wp.tid()
     y = first + row
     out[y, x] = -1.0
@@ -106,7 +106,7 @@ def test_contest_is_the_squared_difference_of_test_and_psi(device: str) -> None:
     shape = gbuffer.depth.shape
     psi = wp.array(np.random.default_rng(4).random((*shape, 2)).astype(np.float32), dtype=wp.vec2, device=device)
     tau = wp.empty(shape, dtype=float, device=device)
-    launch(tests_of_pixels, shape, [gbuffer, light_map, bias], [tau], device=device)
+    launch(hard_tests, shape, [gbuffer, light_map, bias], [tau], device=device)
     out = wp.empty((9, 16), dtype=float, device=device)
     launch(measure_contest, (9, 16), [gbuffer, light_map, bias, psi], [out], device=device)
     y, x = (2 * np.arange(9) + 1) * shape[0] // 18, (2 * np.arange(16) + 1) * shape[1] // 32
@@ -117,7 +117,8 @@ def test_contest_is_the_squared_difference_of_test_and_psi(device: str) -> None:
     held_before = pull_importance(session)
     learn(session, gbuffer, light_map, bias, psi)
     assert not held_before.contest.any(), "nothing to learn without a stratum"
-    held_before.stratum = (1, 2)
+    held_before.stratum, held_before.learnt = (1, 2), -1
+    learn(session, gbuffer, light_map, bias, psi)
     learn(session, gbuffer, light_map, bias, psi)
     assert held_before.contest[1][1, 2] == 1.0 and PROBES[0] < PROBES[1]
 
@@ -144,3 +145,18 @@ def test_weighted_samples_converge_to_the_same_shadows(name: str, device: str) -
     assert weighted.standard_error is not None and plain.standard_error is not None
     ratio = weighted.standard_error[penumbra].mean() / plain.standard_error[penumbra].mean()
     assert 1.0 < ratio < 1.6, "the standard error must know of the weights"
+
+
+def test_a_frame_is_the_same_however_often_it_is_rendered(device: str) -> None:
+    session = Session(Geometry(small.cluttered(small.light("rectangle")), device), width=80, height=60, device=device)
+    plugin: Any = find("tc_soft_paper")
+    technique = plugin(plugin.Params(resolution=256, importance=0.8))
+    for _ in range(12):
+        session.begin(0)
+        first = session.render(technique)
+        session.begin(0)
+        again = session.render(technique)
+        np.testing.assert_array_equal(first.visibility, again.visibility)
+        session.advance()
+    with pytest.raises(ValueError, match="importance is learnt of one light"):
+        plugin.Params(importance=0.5, lights="all")

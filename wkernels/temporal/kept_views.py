@@ -3,6 +3,8 @@
 A buffer is put aside once the eye has left a share of what it holds: by a cut at once, or step by step by a turn or a
 flight. Points that are new to the last frame's buffer are looked for in those, and what knows most of a point is taken.
 A kept buffer takes 16 bytes a pixel. Nothing is read of moving casters' shadows, nor anything once the light has moved.
+
+Along ``overlap_cuts`` at 320 x 180, tc_soft_paper, RMSE against 128 rays: FIGURES
 """
 
 from __future__ import annotations
@@ -179,6 +181,22 @@ def _knowledge(points: wp.array) -> float:
 
 
 @dataclass
+class PutAside:
+    """A buffer that is to go into a slot before the next frame: the same frame, rendered again, must not find it.
+
+    Attributes:
+        slot: Where to. slots: Of the shelf.
+        view: Of the buffer.
+        points: Its probes, ``PROBES``.
+    """
+
+    slot: int
+    slots: int
+    view: View
+    points: wp.array
+
+
+@dataclass
 class ViewShelf:
     """What is kept from frame to frame.
 
@@ -189,6 +207,8 @@ class ViewShelf:
         anchor: Probes of the first frame since a buffer was put aside last; how much of them is still seen tells how
             far the eye has come.
         lights: Whose tests all sums are of.
+        leaving: What the last frame decided to put aside.
+        decided: Count of the frame that decided last.
     """
 
     on_device: KeptViews = field(default_factory=KeptViews)
@@ -196,6 +216,8 @@ class ViewShelf:
     points: list[wp.array] = field(default_factory=list)
     anchor: wp.array | None = None
     lights: Hashable = None
+    leaving: PutAside | None = None
+    decided: int = -1
 
     def choose(self, knowledge: float, overlaps: list[float], slots: int) -> int | None:
         """The slot for a buffer that knows so much and shows ``overlaps`` of those in use; None if they know more.
@@ -214,17 +236,32 @@ class ViewShelf:
 
 def pull_view_shelf(frame: Session, lights: Sequence[Light]) -> ViewShelf:
     """What earlier frames have put aside; nothing once one of the lights that its sums are of has changed."""
+    sums_of = tuple((light.hull.tobytes(), light.centre.tobytes(), tuple(light.radiance)) for light in lights)
 
     def build(old: ViewShelf | None) -> ViewShelf:
-        sums_of = tuple((light.hull.tobytes(), light.centre.tobytes(), tuple(light.radiance)) for light in lights)
         return old if old is not None and old.lights == sums_of else ViewShelf(lights=sums_of)
 
-    shelf: ViewShelf = frame.product("kept views", "kept views", frame.count, build)
+    shelf: ViewShelf = frame.product("kept views", "kept views", (frame.count, sums_of), build)
     return shelf
 
 
-def keep_views(frame: Session, shelf: ViewShelf, history: History, view: View, slots: int, overlap: float) -> None:
-    """Puts the last frame's buffer aside if this frame's, which must be written, shows too little of it.
+def fill_shelf(frame: Session, shelf: ViewShelf, history: History) -> KeptViews:
+    """Puts aside what the last frame decided to, before this one writes to ``history.current``, where it still lies."""
+    leaving, texels = shelf.leaving, history.current
+    if leaving is not None and shelf.decided == frame.count - 1:
+        kept = frame.buffer("kept views", (leaving.slots, *texels.shape), wp.vec4)
+        frame.launch(PUT_ASIDE[texels.dtype], texels.shape, [texels, leaving.slot], [kept])
+        shelf.views[leaving.slot : leaving.slot + 1] = [leaving.view]
+        shelf.points[leaving.slot : leaving.slot + 1] = [leaving.points]
+        shelf.on_device.count, shelf.on_device.texels = len(shelf.views), kept
+        shelf.on_device.views = wp.array(shelf.views, dtype=View, device=frame.device)
+    if shelf.decided < frame.count:
+        shelf.leaving = None
+    return shelf.on_device
+
+
+def keep_view(frame: Session, shelf: ViewShelf, history: History, view: View, slots: int, overlap: float) -> None:
+    """Has the last frame's buffer put aside if this frame's, which must be written, shows too little of it.
 
     Reads some hundred numbers back from the device.
 
@@ -236,12 +273,12 @@ def keep_views(frame: Session, shelf: ViewShelf, history: History, view: View, s
         slots: Buffers kept besides the last frame's, at least 1.
         overlap: Share of what was seen, by the last frame or since a buffer was put aside last, below which it is.
     """
-    if not history.valid or history.previous_view is None:
-        return
     previous, before = history.previous, history.previous_view
-    texel = previous.dtype
+    if not history.valid or before is None or shelf.decided == frame.count:
+        return
+    shelf.decided = frame.count
     points = frame.buffer("probes of a view", PROBES, wp.vec4)
-    frame.launch(PROBE[texel], PROBES, [previous, before], [points])
+    frame.launch(PROBE[previous.dtype], PROBES, [previous, before], [points])
     if shelf.anchor is None:
         shelf.anchor = wp.clone(points)
     seen = [seen_share(frame, probes, history.current, view) for probes in (points, shelf.anchor)]
@@ -250,9 +287,4 @@ def keep_views(frame: Session, shelf: ViewShelf, history: History, view: View, s
     shelf.anchor = None
     slot = shelf.choose(_knowledge(points), [seen_share(frame, p, previous, before) for p in shelf.points], slots)
     if slot is not None:
-        texels = frame.buffer("kept views", (slots, *previous.shape), wp.vec4)
-        frame.launch(PUT_ASIDE[texel], previous.shape, [previous, slot], [texels])
-        shelf.views[slot : slot + 1] = [before]
-        shelf.points[slot : slot + 1] = [wp.clone(points)]
-        shelf.on_device.count, shelf.on_device.texels = len(shelf.views), texels
-        shelf.on_device.views = wp.array(shelf.views, dtype=View, device=frame.device)
+        shelf.leaving = PutAside(slot, slots, before, wp.clone(points))

@@ -17,15 +17,14 @@ from wkernels.filtering_lanes import flat_half_axes
 from wkernels.frame import Session
 from wkernels.gbuffer import PADDING, GBuffer
 from wkernels.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
-from wkernels.light_importance import RECENT, learn, pull_importance, warp_point
+from wkernels.light_importance import draw_important, learn
 from wkernels.light_maps.light_map import Bias, LightMap
 from wkernels.light_maps.receiver_lanes import lane_views
 from wkernels.light_motion import ageing_window, displacement
 from wkernels.lights import Light
-from wkernels.sampling import light_set
 from wkernels.temporal.estimators import FLOAT32_LIMIT, UNLIMITED
 from wkernels.temporal.history import History
-from wkernels.temporal.kept_views import keep_views, pull_view_shelf
+from wkernels.temporal.kept_views import fill_shelf, keep_view, pull_view_shelf
 from wkernels.temporal.many_lights import BLACK_LIGHT, JOIN, drawn_light, light_weights
 from wkernels.temporal.mesh_motion import pull_mesh_motion
 from wkernels.temporal.mover_shadow import add_mover_shadows, has_own_map
@@ -123,7 +122,7 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
     out.has_history = int(history.valid)
     apart = has_own_map(frame, p)
     if keeps_views(frame, p):
-        out.kept = pull_view_shelf(frame, seen_lights(frame, p)).on_device
+        out.kept = fill_shelf(frame, pull_view_shelf(frame, seen_lights(frame, p)), history)
     out.has_movers = int(
         not apart and p.movers != "ignore" and (frame.geometry.casters_move or not frame.leave_out(*UNTAGGED))
     )
@@ -175,7 +174,7 @@ def add_sample(frame: Session, step: ShadowStep, settings: UpdateSettings, p: St
     if keeps_views(frame, p):
         with frame.timed("kept views"):
             shelf = pull_view_shelf(frame, seen_lights(frame, p))
-            keep_views(frame, shelf, step.history, step.gbuffer.view, p.kept_views - 1, p.kept_overlap)
+            keep_view(frame, shelf, step.history, step.gbuffer.view, p.kept_views - 1, p.kept_overlap)
 
 
 def keeps_views(frame: Session, p: StepParams) -> bool:
@@ -246,12 +245,8 @@ def _draw(
 ) -> tuple[LightMap, float]:
     """The map of the next point of the light that is asked for, and the point's weight."""
     if p.importance > 0.0:
-        importance = pull_importance(frame)
-        u = light_set(p.sample_set, 1, 3, frame.count, 0 if frame.seed == 1 else frame.seed + 1)
-        point, weight, importance.stratum = warp_point(u[0], importance.density(p.importance))
-        host, weight = frame.light.sample(point[None])[0], weight * float(frame.light.weights(point[None])[0])
-        importance.weights = [*importance.weights[-RECENT:], weight]
-        settings.effective_share = importance.effective_share()
+        importance = draw_important(frame, p.sample_set, p.importance)
+        host, weight, settings.effective_share = importance.host, importance.weight, importance.effective_share()
     else:
         sample = frame.light_samples(1, p.sample_set, start=frame.count)
         host, weight = sample.host[0], float(sample.weights_host[0])
