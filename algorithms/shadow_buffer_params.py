@@ -20,7 +20,7 @@ class ShadowBufferParams(MapParams):
     importance: float = setting(
         0.0,
         "share of the samples that go where pixels contest the light, weighted by the inverse of their density; "
-        "published: 0",
+        "gains nothing on the scenes here; published: 0",
         unit="1",
         source="Scherzer 2009, sec. 5",
         ge=0.0,

@@ -107,15 +107,16 @@ def test_slots_go_to_what_is_new_and_well_known(device: str) -> None:
         return wp.full((2, 2), wp.vec4(0.0, 0.0, 0.0, n), dtype=wp.vec4, device=device)
 
     shelf = ViewShelf()
-    assert shelf.choose(4.0, [], 2) == 0
+    assert shelf.choose(4.0, [], [], 2) == 0
     shelf.points = [probes(8.0)]
-    assert shelf.choose(4.0, [0.2], 2) == 1, "a free one"
+    assert shelf.choose(4.0, [0.2], [0.1], 2) == 1, "a free one"
     shelf.points = [probes(8.0), probes(3.0)]
-    assert shelf.choose(13.0, [0.2, 0.9], 3) == 1, "what shows the same makes room"
-    assert shelf.choose(11.0, [0.2, 0.9], 3) is None, "but not for what knows less"
-    assert shelf.choose(13.0, [0.2, 0.3], 2) == 1, "what knows least"
+    assert shelf.choose(13.0, [0.2, 0.9], [0.9, 0.0], 3) == 1, "what shows the same makes room"
+    assert shelf.choose(11.0, [0.2, 0.9], [0.9, 0.0], 3) is None, "but not for what knows less"
+    assert shelf.choose(13.0, [0.2, 0.3], [0.1, 0.1], 2) == 1, "what knows least"
+    assert shelf.choose(2.0, [0.2, 0.3], [0.8, 0.1], 2) == 0, "what the frame has read needs no slot"
     shelf.points = [probes(500.0), probes(400.0)]
-    assert shelf.choose(4 * 64.0, [0.2, 0.3], 2) == 0, "64 tests are enough to know"
+    assert shelf.choose(4 * 64.0, [0.2, 0.3], [0.1, 0.1], 2) == 0, "64 tests are enough to know"
 
 
 A, B = small.camera(eye=(0.0, 4.0, 7.0)), small.camera(eye=(7.0, 4.0, 0.0), target=(30.0, 0.0, 0.0))
