@@ -90,11 +90,11 @@ def _work_lines(experiment: Experiment, plugins: Mapping[str, type]) -> list[str
     image = experiment.image
     pixels = image.width * image.height
     techniques: list[Any] = [plugins[run.name] for run in experiment.runs]
-    warm = sum(min(frames, 2 if technique.needs.history else 1) for technique in techniques)
+    warm = sum(min(frames, 2) + experiment.lead_in if technique.needs.history else 1 for technique in techniques)
     lines = [
         f"{labels * frames * repeats:,} timed renderings of {image.width} x {image.height}: "
         f"{labels} label{_s(labels)} x {frames} frame{_s(frames)} x {repeats} repeat{_s(repeats)}, "
-        f"and {warm} untimed to warm up"
+        f"and {warm:,} untimed to warm up{' and lead in' if experiment.lead_in else ''}"
     ]
     if experiment.reference:
         chosen = experiment.frames[:: experiment.reference.every]

@@ -196,7 +196,7 @@ class _Walkthrough:
         self._store_uncompiled()
 
     def _warm_up(self, lane: Lane) -> None:
-        """Renders the first frame (with history: the second too, whose kernels differ) and forgets it."""
+        """Renders the first frame (with history: the second too, whose kernels differ), forgets it, and leads in."""
         try:
             lane.session, lane.technique = self.engine.open(lane.run)
             for frame in self.experiment.frames[: 2 if lane.history else 1]:
@@ -204,6 +204,10 @@ class _Walkthrough:
                 lane.session.render(lane.technique)
                 lane.session.advance()
             lane.session.reset()
+            for frame in self.experiment.lead_in_frames() if lane.history else ():
+                lane.session.begin(frame)
+                lane.session.render(lane.technique)
+                lane.session.advance()
         except (Exception, SystemExit) as error:
             if isinstance(error, InputError) and not self.refusals_fail:
                 raise

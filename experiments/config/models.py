@@ -191,6 +191,7 @@ class RunFile(StrictModel):
     repeats: int = Field(1, ge=1, le=1000)
     seed: int = Field(1, ge=0, le=2**31 - 1)
     frames: Annotated[int, Field(ge=1)] | FrameRange | None = None
+    lead_in: int = Field(0, ge=0, le=100_000)
     light: int = Field(0, ge=0)
     views: Views | None = None
 

@@ -46,6 +46,8 @@ class Experiment:
         repeats: Timed repetitions of each frame.
         seed: Seed of every sample set.
         frames: Frame numbers to render, ascending.
+        lead_in: How many frames before the first, of the same step, techniques with history go through before it:
+            neither timed nor measured, so that a part of a path can be measured in mid-flight.
         light: Index of the light whose visibility is compared.
         views: Pictures to make, every default filled in; None for none.
     """
@@ -64,6 +66,12 @@ class Experiment:
     light: int
     loaded_scene: Scene
     views: Views | None = None
+    lead_in: int = 0
+
+    def lead_in_frames(self) -> range:
+        """The frames before the first that are neither timed nor measured."""
+        first, step = self.frames[0], _step(self.frames)
+        return range(first - self.lead_in * step, first, step)
 
     def load_scene(self) -> Scene:
         """The scene, which was loaded to check the experiment against it."""
@@ -83,6 +91,7 @@ class Experiment:
             "repeats": self.repeats,
             "seed": self.seed,
             "frames": _as_range(self.frames),
+            "lead_in": self.lead_in or None,
             "light": self.light,
             "views": self.views.model_dump() if self.views else None,
         }
@@ -211,6 +220,7 @@ def resolve(
         light=file.light,
         loaded_scene=scene,
         views=resolve_views(source, file, frames, labels),
+        lead_in=_lead_in(source, file, frames),
     )
 
 
@@ -247,9 +257,20 @@ def _frames(file: RunFile, scene: Scene) -> tuple[int, ...]:
     return tuple(range(scene.frames if file.frames is None else file.frames))
 
 
+def _lead_in(source: Source, file: RunFile, frames: tuple[int, ...]) -> int:
+    most = frames[0] // _step(frames)
+    if file.lead_in > most:
+        raise source.error(f"there are {most} frames before frame {frames[0]}, not {file.lead_in}.", ("lead_in",))
+    return file.lead_in
+
+
+def _step(frames: Sequence[int]) -> int:
+    """From one frame to the next."""
+    return frames[1] - frames[0] if len(frames) > 1 else 1
+
+
 def _as_range(frames: tuple[int, ...]) -> dict[str, int]:
-    step = frames[1] - frames[0] if len(frames) > 1 else 1
-    return {"start": frames[0], "stop": frames[-1] + 1, "step": step}
+    return {"start": frames[0], "stop": frames[-1] + 1, "step": _step(frames)}
 
 
 def _scene_source(source: Source, base: Path, loc: Loc) -> Path | dict[str, Any]:

@@ -95,6 +95,7 @@ class Sweep:
             "repeats": same.repeats,
             "seed": same.seed,
             "frames": self.file.frames,
+            "lead_in": self.file.lead_in or None,
             "light": same.light,
             "views": self.file.views,
         }

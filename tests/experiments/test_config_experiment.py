@@ -174,6 +174,7 @@ def test_the_resolved_file_gives_the_same_experiment(load: Load) -> None:
         ("- sharp\nframes: {start: 4}\n", "e.yaml:6: frames.stop: is required."),
         ("- sharp\nframes: {strat: 4, stop: 5}\n", "e.yaml:6: frames.strat: is not a known key. Did you mean 'start'?"),
         ("- sharp\nfames: 3\n", "e.yaml:6: fames: is not a known key. Did you mean 'frames'?"),
+        ("- sharp\nframes: {start: 4, stop: 6}\nlead_in: 5\n", "e.yaml:7: lead_in: there are 4 frames before frame 4, not 5."),
         ("- sharp\nlight: 3\n", "e.yaml:6: light: the scene has 3 light(s); there is no light 3."),
         ("- sharp\nbaseline: shrap\n", "e.yaml:6: baseline: no technique has the label 'shrap'. Did you mean 'sharp'?"),
         ("- sharp\nmetrics: [rmse]\n", "e.yaml:6: metrics.0: the metric 'rmse' needs the key 'reference'"),

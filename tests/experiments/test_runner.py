@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,17 @@ def test_labels_are_interleaved_after_an_untimed_warm_up(tmp_path: Path) -> None
     warm_up += [(slow, 4), (slow, "reset")]
     timed = [(label, frame) for frame in (4, 7) for _ in range(2) for label in (cheap, memory, slow)]
     assert engine.log == warm_up + timed
+
+
+def test_what_remembers_is_led_in_untimed_and_nothing_else_is(tmp_path: Path) -> None:
+    led, whole = (replace(make_experiment(frames=frames), lead_in=n) for frames, n in ((range(2, 5), 2), (range(5), 0)))
+    engine = FakeEngine(led)
+    store = Store.existing(run(led, tmp_path / "led", engine=engine, report=False))
+    other = Store.existing(run(whole, tmp_path / "whole", engine=FakeEngine(whole), report=False))
+    assert {entry for entry in engine.log if entry[1] in (0, 1)} == {("memory", 0), ("memory", 1)}
+    assert {int(row["frame"]) for row in store.rows("frames")} == {2, 3, 4}
+    rmse = [{(r["label"], r["frame"]): r["rmse"] for r in s.rows("frames")} for s in (store, other)]
+    assert all(rmse[0][key] == rmse[1][key] for key in rmse[0] if rmse[0][key]), "as if all had been measured"
 
 
 def test_times_are_medians_and_quartiles_of_the_repeats(tmp_path: Path) -> None:
