@@ -5,10 +5,10 @@ Points are drawn as the square root of that asks for (Neyman's allocation), and 
 density, which keeps sums unbiased: rho sums weight times tau, n the weights, and n counts for less where weights
 differ. A share of all points stays uniform, so that no weight exceeds 1 / (1 - share).
 
-It gains nothing on this project's scenes and is off by default, probably because, averaged over all pixels of a picture,
-every stratum is contested about as much, and weights that differ are worth less. RMSE against 128 rays, mean of every 8th frame at 320 x
-180 with shares of 0, 0.25, 0.5 and 0.8: overlap_walkthrough 0.0698, 0.0700, 0.0700, 0.0701; big_penumbra_walkthrough
-0.0487, 0.0489, 0.0489, 0.0491. A frame takes 1 to 2 % longer.
+It gains nothing on this project's scenes and is off by default: averaged over all pixels every stratum is probably
+contested about as much, and weights that differ are worth less (not tested). RMSE against 128 rays, mean of every 8th
+frame at 320 x 180 with shares of 0, 0.25, 0.5 and 0.8: overlap_walkthrough 0.0698, 0.0700, 0.0700, 0.0701;
+big_penumbra_walkthrough 0.0487, 0.0489, 0.0489, 0.0491. A frame takes 1 to 2 % longer.
 """
 
 from __future__ import annotations
