@@ -11,7 +11,7 @@ import warp as wp
 
 from wkernels.lanes import LANES, Floats, first_of, second_of
 from wkernels.temporal.estimators import sampling_weight
-from wkernels.temporal.neighbourhood_filter import add_neighbours
+from wkernels.temporal.neighbourhood_filter import add_neighbours, add_neighbours_run
 from wkernels.temporal.shadow_buffer import TEXEL_TYPES, put
 
 
@@ -108,7 +108,6 @@ def blend_neighbourhood_lanes(
     width = visibility_out.shape[1]
     height = visibility_out.shape[0]
     begin = y * width
-    depth_range = settings.depth_range
     shown = Floats(0.0)
     half = Floats(0.0)
     own = Floats(0.0)
@@ -124,24 +123,7 @@ def blend_neighbourhood_lanes(
         wide += wp.where(half[k] >= 0.5, 1, 0)
         starts += wp.where(asked <= -0.5, 1, 0)
     if wide > 0:
-        total = Floats(0.0)
-        count = Floats(0.0)
-        for i in range(taps.shape[0]):
-            tap_x = taps[i][0]
-            tap_y = taps[i][1]
-            for k in range(LANES):
-                reach = wp.where(half[k] >= 0.5, half[k], 0.0)
-                column = int(wp.round(float(x0 + k) + reach * tap_x))
-                line = int(wp.round(float(y) + reach * tap_y))
-                in_row = wp.where(column >= 0, wp.where(column < width, 1, 0), 0)
-                inside = wp.where(line >= 0, wp.where(line < height, in_row, 0), 0)
-                at = wp.where(inside != 0, line * width + column, begin)
-                pair = flat_psi_depth[at]
-                receives = wp.where(second_of(pair) > 0.0, inside, 0)
-                close = wp.where(wp.abs(second_of(pair) - own[k]) < depth_range * own[k], receives, 0)
-                share = wp.where(half[k] >= 0.5, float(close), 0.0)
-                total[k] = total[k] + share * first_of(pair)
-                count[k] = count[k] + share
+        total, count = add_neighbours_run(flat_psi_depth, x0, y, width, height, half, own, taps, settings.depth_range)
         least_error = settings.least_error
         range_ = wp.max(settings.largest_error - least_error, 1.0e-20)
         largest_error = settings.largest_error

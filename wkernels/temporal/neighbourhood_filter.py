@@ -109,6 +109,40 @@ def filter_neighbourhood(
     visibility_out[y, x] = 1.0 - total
 
 
+@wp.func
+def add_neighbours_run(
+    psi_depth: wp.array(dtype=wp.int64),
+    x0: int,
+    y: int,
+    width: int,
+    height: int,
+    half_width_px: Floats,
+    own_depth: Floats,
+    taps: wp.array(dtype=wp.vec2),
+    depth_range: float,
+):
+    """``add_neighbours`` of each lane, from nothing: (sum of psi, number); none in lanes that ask for none."""
+    total = Floats(0.0)
+    count = Floats(0.0)
+    begin = y * width
+    for i in range(taps.shape[0]):
+        tap_x = taps[i][0]
+        tap_y = taps[i][1]
+        for k in range(LANES):
+            reach = wp.where(half_width_px[k] >= 0.5, half_width_px[k], 0.0)
+            column = int(wp.round(float(x0 + k) + reach * tap_x))
+            line = int(wp.round(float(y) + reach * tap_y))
+            in_row = wp.where(column >= 0, wp.where(column < width, 1, 0), 0)
+            inside = wp.where(line >= 0, wp.where(line < height, in_row, 0), 0)
+            pair = psi_depth[wp.where(inside != 0, line * width + column, begin)]
+            receives = wp.where(second_of(pair) > 0.0, inside, 0)
+            close = wp.where(wp.abs(second_of(pair) - own_depth[k]) < depth_range * own_depth[k], receives, 0)
+            share = wp.where(half_width_px[k] >= 0.5, float(close), 0.0)
+            total[k] = total[k] + share * first_of(pair)
+            count[k] = count[k] + share
+    return total, count
+
+
 @wp.kernel
 def filter_neighbourhood_lanes(
     first: int,
@@ -137,25 +171,9 @@ def filter_neighbourhood_lanes(
         half[k] = half_width_px[at]
         wide += wp.where(half[k] >= 0.5, 1, 0)
     if wide > 0:
-        count = Floats(1.0)
-        for i in range(taps.shape[0]):
-            tap_x = taps[i][0]
-            tap_y = taps[i][1]
-            for k in range(LANES):
-                reach = wp.where(half[k] >= 0.5, half[k], 0.0)
-                column = int(wp.round(float(x0 + k) + reach * tap_x))
-                line = int(wp.round(float(y) + reach * tap_y))
-                in_row = wp.where(column >= 0, wp.where(column < width, 1, 0), 0)
-                inside = wp.where(line >= 0, wp.where(line < height, in_row, 0), 0)
-                at = wp.where(inside != 0, line * width + column, begin)
-                pair = psi_depth[at]
-                receives = wp.where(second_of(pair) > 0.0, inside, 0)
-                close = wp.where(wp.abs(second_of(pair) - own[k]) < depth_range * own[k], receives, 0)
-                share = wp.where(half[k] >= 0.5, float(close), 0.0)
-                total[k] = total[k] + share * first_of(pair)
-                count[k] = count[k] + share
+        near, count = add_neighbours_run(psi_depth, x0, y, width, height, half, own, taps, depth_range)
         for k in range(LANES):
-            total[k] = total[k] / count[k]
+            total[k] = (total[k] + near[k]) / (1.0 + count[k])
     for k in range(wp.min(LANES, width - x0)):
         visibility_out[y, x0 + k] = 1.0 - total[k]
 
