@@ -73,7 +73,7 @@ def file_of(technique: type[Technique]) -> Path:
 
 
 def _own_files() -> list[Path]:
-    return [path for family in FAMILIES for path in sorted((ROOT / family).glob("*.py")) if path.stem != "__init__"]
+    return [path for family in FAMILIES for path in sorted((ROOT / family).glob("*.py")) if path.stem[0] != "_"]
 
 
 def _modules(files: Iterable[Path]) -> Iterable[tuple[ModuleType, Path]]:

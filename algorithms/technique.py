@@ -10,10 +10,10 @@ from typing import Any, ClassVar, Literal
 import warp as wp
 from pydantic import BaseModel, ConfigDict, Field
 
-from wkernels.frame import Session as Frame
-from wkernels.left_out import Omission
+from wkernels.frame.session import Session as Frame
 from wkernels.light_maps.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL, BIAS_SLOPE, Bias
 from wkernels.raster import CULL_FRONT, CULL_NONE
+from wkernels.workspace.left_out import Omission
 
 ALL_LIGHTS = frozenset({"point", "directional", "rectangle", "disc", "sphere", "linear", "polygon"})
 
@@ -126,7 +126,7 @@ class Technique(ABC):
         expected_failures: Conformance checks that the published method cannot pass, each with its reason.
         may_leave_out: Pairs (what, reason) that the technique itself leaves out where they are not needed, besides what
             every session does; ``explain`` tells them.
-        stability_limits: Stiff cases (``experiments.stability``) in which the published method breaks by nature, each
+        stability_limits: Stiff cases (``kinds.stability``) in which the published method breaks by nature, each
             with its reason.
     """
 

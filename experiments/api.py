@@ -8,19 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from algorithms.composition import compose
 from algorithms.plugins import find
+from algorithms.projections.composition import compose
 from algorithms.technique import Technique
 from experiments.config.needs import check_needs
-from experiments.config.schema import Projection
 from experiments.config.source import from_dict, validate
-from experiments.engine import check_device
-from experiments.reference import reference_for
+from experiments.kinds.walkthrough.config import Projection
+from experiments.rendering.engine import check_device
+from experiments.rendering.reference import reference_for
 from experiments.scenes import load_scene
 from wkernels.errors import InputError, nearest
-from wkernels.frame import FrameResult, LightViews, Session
-from wkernels.geometry import Geometry
-from wkernels.scene import Scene
+from wkernels.frame.session import FrameResult, LightViews, Session
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.model import Scene
 
 SceneSource = str | Path | Mapping[str, Any] | Scene
 MAX_PIXELS = 16384  # per side
@@ -64,7 +64,7 @@ def render_visibility(
     Returns:
         The last frame: ``visibility`` float32 (H, W), 1 = whole light visible, NaN where no receiver is seen;
         ``world_position`` float32 (H, W, 3), scene units; ``standard_error``, ``color``, times (of a first rendering,
-        which loads kernels: no benchmark) and what was left out; see ``wkernels.frame.FrameResult``.
+        which loads kernels: no benchmark) and what was left out; see ``wkernels.frame.session.FrameResult``.
 
     Raises:
         InputError: Anything in the arguments or the scene is wrong, or the technique cannot work with the light.

@@ -5,8 +5,8 @@ import small_scenes
 import warp as wp
 
 import wkernels  # fixes Warp's options before any test module defines a kernel
-from wkernels import launch as launching
-from wkernels.scene import Scene
+from wkernels.device import launch as launching
+from wkernels.scene.model import Scene
 
 assert wkernels.__version__
 

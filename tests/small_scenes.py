@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from wkernels.lights import (
+from wkernels.scene.lights import (
     DirectionalLight,
     DiscLight,
     Light,
@@ -18,7 +18,7 @@ from wkernels.lights import (
     RectangleLight,
     SphereLight,
 )
-from wkernels.scene import Camera, Mesh, Scene
+from wkernels.scene.model import Camera, Mesh, Scene
 
 Triangles = tuple[np.ndarray, np.ndarray]
 
@@ -87,7 +87,7 @@ def random_boxes(count: int, seed: int) -> Triangles:
 
 
 def mesh(name: str, shape: Triangles, **attributes: object) -> Mesh:
-    """A named mesh; ``attributes`` as in ``wkernels.scene.Mesh``."""
+    """A named mesh; ``attributes`` as in ``wkernels.scene.model.Mesh``."""
     return Mesh(name, shape[0], shape[1], **attributes)  # type: ignore[arg-type]
 
 

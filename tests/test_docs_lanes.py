@@ -22,7 +22,7 @@ def test_the_worked_example_runs(tmp_path: Path) -> None:
 
 
 def test_every_name_of_the_vocabulary_is_explained() -> None:
-    import wkernels.lanes as lanes
+    import wkernels.device.lanes as lanes
 
     page = (ROOT / "docs" / "lanes.md").read_text(encoding="utf-8")
     names = {name for name in vars(lanes) if not name.startswith("_")} - {"annotations", "wp"}

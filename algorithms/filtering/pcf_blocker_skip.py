@@ -22,10 +22,10 @@ from typing import Literal
 import warp as wp
 
 from algorithms.technique import Limit, MapParams, Technique, setting
-from wkernels.filtering import tap_set
-from wkernels.frame import Session as Frame
-from wkernels.light_maps.empty_maps import nothing_hides
-from wkernels.searched_filter import SETTLED, filter_after_search, rim_taps, searched_filter
+from wkernels.filters.penumbra import tap_set
+from wkernels.filters.searched_filter import SETTLED, filter_after_search, rim_taps, searched_filter
+from wkernels.frame.empty_maps import nothing_hides
+from wkernels.frame.session import Session as Frame
 
 
 class PcfBlockerSkip(Technique):

@@ -25,17 +25,17 @@ import warp as wp
 from pydantic import ValidationInfo, field_validator
 
 from algorithms.technique import Limit, MapParams, Technique, setting
-from wkernels.filtering import check_tap_count, penumbra_filter, pull_taps
-from wkernels.filtering_lanes import keep_without_receiver, penumbra_filter_run
-from wkernels.frame import Session as Frame
-from wkernels.gbuffer import GBuffer
-from wkernels.lanes import LANES, Floats, runs_per_row, uses_lanes
+from wkernels.device.lanes import LANES, Floats, runs_per_row, uses_lanes
+from wkernels.filters.layer_density import pull_layer_densities
+from wkernels.filters.penumbra import check_tap_count, penumbra_filter, pull_taps
+from wkernels.filters.penumbra_lanes import keep_without_receiver, penumbra_filter_run
+from wkernels.frame.empty_maps import nothing_hides
+from wkernels.frame.session import Session as Frame
 from wkernels.light_maps.comparison_lanes import SpreadRun
-from wkernels.light_maps.empty_maps import nothing_hides
-from wkernels.light_maps.layer_density import pull_layer_densities
 from wkernels.light_maps.light_map import Bias, LightMap, texels_per_length
 from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.light_maps.receivers import receiver_of_pixel
+from wkernels.raster.gbuffer import GBuffer
 
 
 @wp.func

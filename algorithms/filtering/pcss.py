@@ -30,7 +30,8 @@ import warp as wp
 from pydantic import ValidationInfo, field_validator
 
 from algorithms.technique import Limit, MapParams, Needs, Technique, setting
-from wkernels.filtering import (
+from wkernels.device.lanes import LANES, runs_per_row, uses_lanes
+from wkernels.filters.penumbra import (
     LightFootprint,
     check_tap_count,
     pcss_visibility,
@@ -38,14 +39,13 @@ from wkernels.filtering import (
     pull_taps,
     tap_rotation,
 )
-from wkernels.filtering_lanes import flat_half_axes, pcss_visibility_run, tap_rotation_run
-from wkernels.frame import Session as Frame
-from wkernels.gbuffer import GBuffer
-from wkernels.lanes import LANES, runs_per_row, uses_lanes
-from wkernels.light_maps.empty_maps import nothing_hides
+from wkernels.filters.penumbra_lanes import flat_half_axes, pcss_visibility_run, tap_rotation_run
+from wkernels.frame.empty_maps import nothing_hides
+from wkernels.frame.session import Session as Frame
 from wkernels.light_maps.light_map import Bias, LightMap
 from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.light_maps.receivers import receiver_of_pixel
+from wkernels.raster.gbuffer import GBuffer
 
 TAPS_ALIKE = "taps of search and filter", "the light has no area"
 

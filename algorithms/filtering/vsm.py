@@ -28,22 +28,9 @@ import warp as wp
 from pydantic import field_validator
 
 from algorithms.technique import MapParams, Technique, setting
-from wkernels.blur import gaussian_weights, separable_blur
-from wkernels.filtering import (
-    LightFootprint,
-    mean_blocker_depth,
-    penumbra_spread,
-    pull_footprint,
-    pull_taps,
-    texels_per_ratio,
-)
-from wkernels.frame import Session as Frame
-from wkernels.gbuffer import GBuffer
-from wkernels.lanes import LANES, Floats, Pairs, flat_floats, runs_of, runs_per_row, uses_lanes
-from wkernels.light_maps.empty_maps import nothing_hides
-from wkernels.light_maps.light_map import Bias, LightMap, layout_of
-from wkernels.light_maps.map_storage import MapLayout, allocate, layer_images
-from wkernels.light_maps.moments import (
+from wkernels.device.lanes import LANES, Floats, Pairs, flat_floats, runs_of, runs_per_row, uses_lanes
+from wkernels.filters.blur import gaussian_weights, separable_blur
+from wkernels.filters.moments import (
     Chebyshev,
     depth_range,
     find_moments,
@@ -53,9 +40,22 @@ from wkernels.light_maps.moments import (
     normalised,
     sample_bilinear,
 )
+from wkernels.filters.penumbra import (
+    LightFootprint,
+    mean_blocker_depth,
+    penumbra_spread,
+    pull_footprint,
+    pull_taps,
+    texels_per_ratio,
+)
+from wkernels.filters.summed_area import box_mean, summed_area_table
+from wkernels.frame.empty_maps import nothing_hides
+from wkernels.frame.session import Session as Frame
+from wkernels.light_maps.light_map import Bias, LightMap, layout_of
 from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.light_maps.receivers import receiver_of_pixel
-from wkernels.summed_area import box_mean, summed_area_table
+from wkernels.light_maps.storage import MapLayout, allocate, layer_images
+from wkernels.raster.gbuffer import GBuffer
 
 TAPS_ALIKE = "taps of the search", "the light has no area"
 NO_BLUR = "blur of moments", "its kernel has one tap"

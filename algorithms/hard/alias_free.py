@@ -19,7 +19,7 @@ import warp as wp
 
 from algorithms.technique import Limit, Technique, setting
 from algorithms.technique import Params as BaseParams
-from wkernels.frame import Session as Frame
+from wkernels.frame.session import Session as Frame
 from wkernels.irregular import find_hidden
 
 

@@ -1,7 +1,7 @@
 """Blob shadows: a blurry dark spot where a caster's ellipse falls (Schwaerzler 2009, section 2.3, figure 2.10).
 
 The source only tells of "blurry dark textures, placed underneath the objects"; the rest is ours. Each casting mesh is
-its bounding ellipsoid (``wkernels.blobs``). From a receiver at distance d of its projected ellipse (0 at the middle, 1
+its bounding ellipsoid (``casters.blobs``). From a receiver at distance d of its projected ellipse (0 at the middle, 1
 on the outline), h below it, the blob takes away
 
     alpha = strength (1 - smoothstep(inner, outer, d)) max(0, 1 - h / fade),
@@ -23,11 +23,10 @@ import warp as wp
 from pydantic import ValidationInfo, field_validator
 
 from algorithms.technique import Params, Technique, setting
-from wkernels.blobs import Blob, bounding_ellipsoid, distance_to_blob, placed_ellipsoid
-from wkernels.frame import Session as Frame
-from wkernels.gbuffer import GBuffer, is_back_lit
-from wkernels.geometry import RECEIVES
-from wkernels.light_maps.light_map import to_light
+from wkernels.casters.blobs import Blob, bounding_ellipsoid, distance_to_blob, placed_ellipsoid
+from wkernels.frame.session import Session as Frame
+from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
+from wkernels.scene.geometry import RECEIVES
 
 
 @wp.struct

@@ -22,16 +22,16 @@ from __future__ import annotations
 import warp as wp
 
 from algorithms.technique import Limit, MapParams, Technique, setting
-from wkernels.frame import Session as Frame
-from wkernels.gbuffer import PADDING, GBuffer
-from wkernels.geometry import RECEIVES
-from wkernels.lanes import LANES, Floats, runs_of, runs_per_row, uses_lanes
+from wkernels.device.lanes import LANES, Floats, runs_of, runs_per_row, uses_lanes
+from wkernels.filters.neighbourhood_filter import filter_image
+from wkernels.frame.session import Session as Frame
 from wkernels.light_maps.comparison_lanes import compare_nearest_run
-from wkernels.light_maps.light_map import Bias, LightMap, compare_nearest, to_light
+from wkernels.light_maps.light_map import Bias, LightMap, compare_nearest
 from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.light_maps.receivers import receiver_of_pixel
+from wkernels.raster.gbuffer import PADDING, GBuffer, to_light
+from wkernels.scene.geometry import RECEIVES
 from wkernels.temporal.history_lanes import points_of_run
-from wkernels.temporal.neighbourhood_filter import filter_image
 
 ANY_DEPTH = 1e30  # as a share of the pixel's own
 

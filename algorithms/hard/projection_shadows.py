@@ -25,12 +25,11 @@ import numpy as np
 import warp as wp
 
 from algorithms.technique import Limit, Needs, Params, Technique, setting
-from wkernels.flattening import Flattener, ReceiverPlane, receiver_planes, turned_to_light
-from wkernels.frame import Session as Frame
-from wkernels.gbuffer import GBuffer, is_back_lit
-from wkernels.geometry import RECEIVES
-from wkernels.light_maps.light_map import to_light
-from wkernels.temporal.estimators import standard_error
+from wkernels.casters.flattening import Flattener, ReceiverPlane, receiver_planes, turned_to_light
+from wkernels.frame.session import Session as Frame
+from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
+from wkernels.sampling.estimators import standard_error
+from wkernels.scene.geometry import RECEIVES
 
 FLAT_NONE = "flattened casters", "no receiver is flat"
 ALIKE = "flattened casters of light samples", "the light has no area"

@@ -16,14 +16,14 @@ from __future__ import annotations
 import warp as wp
 
 from algorithms.technique import Limit, MapParams, Technique
-from wkernels.frame import Session as Frame
-from wkernels.gbuffer import GBuffer
-from wkernels.lanes import LANES, runs_per_row, uses_lanes
+from wkernels.device.lanes import LANES, runs_per_row, uses_lanes
+from wkernels.frame.empty_maps import nothing_hides
+from wkernels.frame.session import Session as Frame
 from wkernels.light_maps.comparison_lanes import compare_nearest_run
-from wkernels.light_maps.empty_maps import nothing_hides
 from wkernels.light_maps.light_map import Bias, LightMap, compare_nearest
 from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.light_maps.receivers import receiver_of_pixel
+from wkernels.raster.gbuffer import GBuffer
 
 
 @wp.kernel

@@ -20,14 +20,14 @@ import numpy as np
 import warp as wp
 
 from algorithms.technique import MapParams, Technique, setting
-from wkernels.frame import Session as Frame
-from wkernels.gbuffer import GBuffer, is_back_lit
-from wkernels.geometry import RECEIVES
-from wkernels.lanes import LANES, runs_per_row, uses_lanes
+from wkernels.device.lanes import LANES, runs_per_row, uses_lanes
+from wkernels.frame.session import Session as Frame
 from wkernels.light_maps.comparison_lanes import compare_nearest_run
-from wkernels.light_maps.light_map import Bias, LightMap, compare_nearest, locate_receiver, to_light
+from wkernels.light_maps.light_map import Bias, LightMap, compare_nearest, locate_receiver
 from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
-from wkernels.temporal.estimators import standard_error
+from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
+from wkernels.sampling.estimators import standard_error
+from wkernels.scene.geometry import RECEIVES
 
 MAPS_ALIKE = "light depth maps", "the light has no area"
 

@@ -12,8 +12,8 @@ from __future__ import annotations
 import warp as wp
 
 from algorithms.technique import Technique
-from wkernels.frame import Session as Frame
-from wkernels.rays import trace_point
+from wkernels.frame.session import Session as Frame
+from wkernels.rays.single_rays import trace_point
 
 
 class RayCastPointShadow(Technique):

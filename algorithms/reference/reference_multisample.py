@@ -7,7 +7,7 @@ equation 3) is that of independent samples; with a low-discrepancy set the true 
 edges.
 
 On the CPU all rays of a receiver are cast at once, against the triangles that touch the pyramid from it to the light
-(``wkernels/shaft_rays.py``); on CUDA one after the other.
+(``wkernels/rays/shaft_rays.py``); on CUDA one after the other.
 
 Deviation: pixels that can be *proven* wholly lit (no caster touches the shaft to the light) or wholly dark (one
 triangle hides the light's convex hull, or the light is behind the surface) cast no further rays; the result is the same
@@ -22,10 +22,10 @@ import warp as wp
 
 from algorithms.technique import Limit, Technique, setting
 from algorithms.technique import Params as BaseParams
-from wkernels.frame import Session as Frame
-from wkernels.lanes import uses_lanes
-from wkernels.rays import PROVEN_DARK, PROVEN_LIT, binomial_standard_error, trace_light
-from wkernels.shaft_rays import trace_shafts
+from wkernels.device.lanes import uses_lanes
+from wkernels.frame.session import Session as Frame
+from wkernels.rays.shaft_rays import trace_shafts
+from wkernels.rays.single_rays import PROVEN_DARK, PROVEN_LIT, binomial_standard_error, trace_light
 
 PROVEN = "rays to the light", "a proof settles the pixel"
 RAYS_ALIKE = "rays to the light from each pixel", "the light has no area"

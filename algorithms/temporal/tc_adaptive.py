@@ -52,17 +52,17 @@ from typing import ClassVar, Literal
 import numpy as np
 import warp as wp
 
-from algorithms.composition import Composition
+from algorithms.projections.composition import Composition
 from algorithms.technique import Limit, MapParams, Needs, Technique, setting
-from wkernels.frame import Session as Frame
-from wkernels.gbuffer import PADDING, GBuffer
-from wkernels.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
-from wkernels.light_maps.kept_maps import KeptMaps, Schedule
-from wkernels.light_maps.map_pool_lanes import pool_views
-from wkernels.light_maps.mover_maps import MoverMaps, mover_reach
+from wkernels.device.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
+from wkernels.frame.session import Session as Frame
 from wkernels.light_maps.receiver_lanes import lane_views
-from wkernels.temporal.pool_update import PoolSteps, add_movers, update_sums
-from wkernels.temporal.pool_update_lanes import add_movers_lanes, update_sums_lanes
+from wkernels.raster.gbuffer import PADDING, GBuffer
+from wkernels.temporal.map_pool.kept_maps import KeptMaps, Schedule
+from wkernels.temporal.map_pool.lanes import pool_views
+from wkernels.temporal.map_pool.mover_maps import MoverMaps, mover_reach
+from wkernels.temporal.map_pool.update import PoolSteps, add_movers, update_sums
+from wkernels.temporal.map_pool.update_lanes import add_movers_lanes, update_sums_lanes
 
 STANDS_STILL = "light depth maps and tests", "the view has stood still for all samples"
 NO_MOVERS = "maps of moving casters", "no caster moves"

@@ -39,15 +39,15 @@ import numpy as np
 import warp as wp
 
 from algorithms.technique import Limit, MapParams, Needs, Technique, setting
-from wkernels.frame import Session as Frame
-from wkernels.gbuffer import PADDING
-from wkernels.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
-from wkernels.light_maps.jitter import frame_jitter
+from wkernels.device.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
+from wkernels.frame.session import Session as Frame
 from wkernels.light_maps.receiver_lanes import lane_views
-from wkernels.temporal.confidence import Blending
-from wkernels.temporal.confident_history import ConfidentSettings, add_confident_test
-from wkernels.temporal.confident_history_lanes import add_confident_test_lanes
-from wkernels.temporal.shadow_buffer import BILINEAR, NEAREST
+from wkernels.projections.jitter import frame_jitter
+from wkernels.raster.gbuffer import PADDING
+from wkernels.temporal.confidence.blending import Blending
+from wkernels.temporal.confidence.history import ConfidentSettings, add_confident_test
+from wkernels.temporal.confidence.history_lanes import add_confident_test_lanes
+from wkernels.temporal.shadow_buffer.record import BILINEAR, NEAREST
 
 UNTAGGED = "tags of moving casters", "no caster moves"
 

@@ -60,14 +60,14 @@ from typing import ClassVar, Literal
 import warp as wp
 from pydantic import field_validator
 
-from algorithms.shadow_buffer_params import ShadowBufferParams
 from algorithms.technique import Limit, Needs, Technique, setting
-from wkernels.filtering import check_tap_count, pull_taps
-from wkernels.frame import Session as Frame
-from wkernels.temporal.many_lights import BLACK_LIGHT
-from wkernels.temporal.mover_shadow import NO_MOVERS
-from wkernels.temporal.neighbourhood_filter import filter_image
-from wkernels.temporal.shadow_buffer_step import (
+from algorithms.temporal._shadow_buffer_params import ShadowBufferParams
+from wkernels.filters.neighbourhood_filter import filter_image
+from wkernels.filters.penumbra import check_tap_count, pull_taps
+from wkernels.frame.session import Session as Frame
+from wkernels.temporal.shadow_buffer.many_lights import BLACK_LIGHT
+from wkernels.temporal.shadow_buffer.mover_shadow import NO_MOVERS
+from wkernels.temporal.shadow_buffer.step import (
     SETTLED,
     UNSMOOTHED,
     UNTAGGED,
@@ -77,7 +77,7 @@ from wkernels.temporal.shadow_buffer_step import (
     end_step,
     is_settled,
 )
-from wkernels.temporal.shadow_buffer_update import START_PCSS, START_SAMPLE
+from wkernels.temporal.shadow_buffer.update import START_PCSS, START_SAMPLE
 
 TAPS_ALIKE = "taps of starts", "the light has no area"
 

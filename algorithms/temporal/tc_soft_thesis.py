@@ -50,17 +50,17 @@ from typing import Any, ClassVar, Literal
 import warp as wp
 from pydantic import model_validator
 
-from algorithms.shadow_buffer_params import Movers, ShadowBufferParams
 from algorithms.technique import Limit, Needs, Technique, setting
-from wkernels.filtering import pull_taps
-from wkernels.frame import Session as Frame
-from wkernels.lanes import flat_floats, flat_pairs, runs_per_row, uses_lanes
-from wkernels.temporal.many_lights import BLACK_LIGHT
-from wkernels.temporal.mover_shadow import NO_MOVERS
+from algorithms.temporal._shadow_buffer_params import Movers, ShadowBufferParams
+from wkernels.device.lanes import flat_floats, flat_pairs, runs_per_row, uses_lanes
+from wkernels.filters.neighbourhood_filter import pull_opposite_taps
+from wkernels.filters.penumbra import pull_taps
+from wkernels.frame.session import Session as Frame
 from wkernels.temporal.neighbourhood_blend import BLEND, BlendSettings, blend_neighbourhood_lanes
-from wkernels.temporal.neighbourhood_filter import pull_opposite_taps
-from wkernels.temporal.shadow_buffer import TEXEL_TYPES
-from wkernels.temporal.shadow_buffer_step import (
+from wkernels.temporal.shadow_buffer.many_lights import BLACK_LIGHT
+from wkernels.temporal.shadow_buffer.mover_shadow import NO_MOVERS
+from wkernels.temporal.shadow_buffer.record import TEXEL_TYPES
+from wkernels.temporal.shadow_buffer.step import (
     SETTLED,
     UNSMOOTHED,
     UNTAGGED,
@@ -71,7 +71,7 @@ from wkernels.temporal.shadow_buffer_step import (
     end_step,
     is_settled,
 )
-from wkernels.temporal.shadow_buffer_update import START_SAMPLE, START_SEARCH
+from wkernels.temporal.shadow_buffer.update import START_SAMPLE, START_SEARCH
 
 POINTLESS = "blocker searches and neighbourhoods", "the light has no area"
 

@@ -15,9 +15,9 @@ from experiments.bench.passes import depth_mismatch
 from experiments.bench.plan import Bench
 from experiments.bench.rows import WARM_UPS, Row, Timed, interleaved_medians, interleaved_times
 from experiments.config.needs import unmet_need
-from wkernels.frame import Session
-from wkernels.geometry import Geometry
+from wkernels.frame.session import Session
 from wkernels.light_maps.light_map import depths_on_host
+from wkernels.scene.geometry import Geometry
 
 FEW_MS_REPEATS = 41  # of frames so short that fewer do not tell 5 % apart
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from experiments.bench import shaders
 from experiments.bench.rows import PeerMissing
-from wkernels.views import HostView
+from wkernels.scene.views import HostView
 
 MAX_DEVICES = 8  # EGL devices that are asked; a GPU's driver may come first
 NAME = "llvmpipe"

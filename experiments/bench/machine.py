@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments.bench.llvmpipe import NAME, Llvmpipe
-from experiments.environment import describe_machine, package_version
+from experiments.results.environment import describe_machine, package_version
 
 _FLAGS = ("avx2", "fma", "avx512f", "avx512vl")  # what the compiled kernels' speed depends on most
 

@@ -16,7 +16,7 @@ from algorithms.plugins import find
 from experiments.bench.frames import Walk
 from experiments.bench.plan import Bench
 from experiments.bench.rows import Row
-from wkernels.geometry import Geometry
+from wkernels.scene.geometry import Geometry
 
 TECHNIQUES = ("tc_soft_paper", "pcss", "shadow_map")
 WARM_UP_FRAMES = 100  # kernels load, buffers and the pools of the allocator reach their size

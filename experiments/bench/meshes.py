@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from experiments.scenes.primitives import Triangles, grid, sphere
-from wkernels.lights import DirectionalLight
-from wkernels.scene import Camera, Mesh, Scene
+from wkernels.scene.lights import DirectionalLight
+from wkernels.scene.model import Camera, Mesh, Scene
 
 HALF_SIDE = 425.0  # of the terrain, scene units
 

@@ -14,14 +14,14 @@ from experiments.bench.llvmpipe import Llvmpipe
 from experiments.bench.meshes import camera, spheres_on_terrain, sun, sunlit_scene
 from experiments.bench.plan import Bench
 from experiments.bench.rows import Row, Timed, interleaved_medians
-from wkernels.filtering import BORDER, pull_footprint, tap_set
-from wkernels.frame import Session
-from wkernels.gbuffer import GBuffer
-from wkernels.geometry import CASTS, RECEIVES, Bounds, Geometry
-from wkernels.light_maps.light_map import ROUNDING, depths_on_host
-from wkernels.light_views import scene_views
+from wkernels.filters.penumbra import pull_footprint, tap_set
+from wkernels.frame.session import Session
+from wkernels.light_maps.light_map import BORDER, ROUNDING, depths_on_host
+from wkernels.projections.light_views import scene_views
 from wkernels.raster import CULL_BACK, Rasteriser
-from wkernels.views import HostView, eye_view
+from wkernels.raster.gbuffer import GBuffer
+from wkernels.scene.geometry import CASTS, RECEIVES, Bounds, Geometry
+from wkernels.scene.views import HostView, eye_view
 
 SUN_DEG = 6.0  # angular diameter of the soft sun; with large spheres many pixels search and filter
 SOFT_CAMERA_HEIGHT = 120.0  # above them

@@ -11,7 +11,7 @@ from experiments.bench.llvmpipe import NAME, Llvmpipe
 from experiments.bench.meshes import Mix
 from experiments.bench.rows import Row, Timed, interleaved_medians
 from experiments.scenes import load_scene
-from wkernels.scene import Scene
+from wkernels.scene.model import Scene
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from experiments.bench.rows import PeerMissing
-from wkernels.frame import Session
-from wkernels.geometry import CASTS, RECEIVES
-from wkernels.lights import DirectionalLight
-from wkernels.rays import ORIGIN_ERROR
-from wkernels.scene import Camera
+from wkernels.frame.session import Session
+from wkernels.rays.single_rays import ORIGIN_ERROR
+from wkernels.scene.geometry import CASTS, RECEIVES
+from wkernels.scene.lights import DirectionalLight
+from wkernels.scene.model import Camera
 
 MITSUBA, EMBREEX = "Mitsuba ray_test", "embreex occluded"
 MITSUBA_DIRECT = "Mitsuba direct"

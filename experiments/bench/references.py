@@ -12,9 +12,9 @@ from algorithms.plugins import find
 from experiments.bench.plan import Bench
 from experiments.bench.ray_peers import EMBREEX, MITSUBA, MITSUBA_DIRECT, Embreex, Mitsuba, ShadowRays, shadow_rays
 from experiments.bench.rows import PeerMissing, Row, Timed, interleaved_medians
-from experiments.reference import AREA_TECHNIQUE
-from wkernels.frame import Session
-from wkernels.geometry import Geometry
+from experiments.rendering.reference import AREA_TECHNIQUE
+from wkernels.frame.session import Session
+from wkernels.scene.geometry import Geometry
 
 _MOST_S = 15.0  # of timed runs in one case
 _WARM_UPS = 2  # compiles, and finds out that the launch is worth sharing between threads

@@ -15,9 +15,9 @@ from experiments.bench.meshes import Mix, camera, spheres_on_terrain
 from experiments.bench.passes import OurPcss, OurTriangles, depth_mismatch, sun_view
 from experiments.bench.plan import Bench
 from experiments.bench.rows import Row, Timed, interleaved_medians
-from wkernels.geometry import Geometry
-from wkernels.launch import default_threads
-from wkernels.views import eye_view
+from wkernels.device.launch import default_threads
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.views import eye_view
 
 BYTES_PER_TRIANGLE = 200  # at the peak, measured 140: float64 vertices, their copies, both sides' buffers, our bins
 _MOST_S = 5.0  # of timed runs of one size

@@ -1,6 +1,6 @@
 """The peer's GLSL.
 
-``PCSS`` is ``pcss_visibility`` of ``wkernels.filtering`` and ``locate_receiver`` with the slope bias of
+``PCSS`` is ``pcss_visibility`` of ``wkernels.filters.penumbra`` and ``locate_receiver`` with the slope bias of
 ``light_maps.light_map``, written for a directional light as one would by hand: w is 1, and the map's scale is the same
 everywhere and comes as a uniform. Its inputs are our own G-buffer and light map.
 """

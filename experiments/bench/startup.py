@@ -29,7 +29,7 @@ warp.force_load(device="cpu")
 DEMO = """
 import sys
 from experiments import reference_visibility, render_visibility
-from experiments.config.schema import load_experiment
+from experiments.kinds.walkthrough.config import load_experiment
 demo = load_experiment(sys.argv[1])
 for run in demo.runs:
     few = {"samples": 2} if "samples" in run.params else {}

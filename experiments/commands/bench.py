@@ -12,8 +12,8 @@ from experiments.bench.machine import describe_bench
 from experiments.bench.plan import Bench, Sizes
 from experiments.bench.rows import PeerMissing, Row
 from experiments.commands.progress import progress_display
+from wkernels.device.launch import default_threads
 from wkernels.errors import InputError
-from wkernels.launch import default_threads
 
 
 def run_bench(

@@ -6,8 +6,8 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments.compare import COLUMNS, Comparison, compare, rows_for_people
-from experiments.tables import table_text, write_text
+from experiments.results.compare import COLUMNS, Comparison, compare, rows_for_people
+from experiments.results.tables import table_text, write_text
 from wkernels.errors import InputError
 
 
@@ -26,7 +26,7 @@ def compare_folders(a: Path, b: Path, *, as_json: bool, out: Path | None, gate: 
     Raises:
         InputError: The folders cannot be compared, or ``out`` cannot be written.
     """
-    from experiments.sweep.store import is_sweep
+    from experiments.kinds.sweep.store import is_sweep
 
     if is_sweep(a) and is_sweep(b):
         return _compare_sweeps(a, b, as_json=as_json, out=out, gate=gate)
@@ -43,7 +43,7 @@ def compare_folders(a: Path, b: Path, *, as_json: bool, out: Path | None, gate: 
 
 
 def _compare_sweeps(a: Path, b: Path, *, as_json: bool, out: Path | None, gate: float | None) -> bool:
-    from experiments.sweep import agreement
+    from experiments.kinds.sweep import agreement
 
     agreements = agreement.agree(a, b)
     scenes = agreement.compare_scenes(a, b)

@@ -16,7 +16,7 @@ import numpy as np
 import warp as wp
 
 from wkernels import __version__
-from wkernels.launch import default_threads, launch
+from wkernels.device.launch import default_threads, launch
 
 _EXTRAS = {
     "view": {"viser": "viser"},

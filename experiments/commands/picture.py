@@ -6,8 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from experiments.images import ERROR_SCALE, read_png
-from experiments.store import Store, labels_in_order
+from experiments.results.images import ERROR_SCALE, read_png
+from experiments.results.store import Store, labels_in_order
 from wkernels.errors import InputError
 
 

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from experiments.runner import Progress
+    from experiments.kinds.walkthrough.run import Progress
 
 _LINES = 20  # about as many lines as this for the whole work, however long it is
 

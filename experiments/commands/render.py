@@ -11,7 +11,7 @@ import numpy as np
 from algorithms.plugins import load_all
 from experiments.api import render_visibility
 from experiments.config.source import parse_yaml
-from experiments.images import visibility_view, write_exr, write_png
+from experiments.results.images import visibility_view, write_exr, write_png
 from wkernels.errors import InputError
 
 _SUFFIXES = (".exr", ".png")

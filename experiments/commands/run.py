@@ -62,8 +62,8 @@ def run_experiment(
 
 
 def _run_walkthrough(request: _Request) -> None:
-    from experiments.config.schema import load_experiment
-    from experiments.runner import run
+    from experiments.kinds.walkthrough.config import load_experiment
+    from experiments.kinds.walkthrough.run import run
 
     plugins = load_all(request.plugin_files)
     experiment = load_experiment(request.config, request.overrides, plugins)
@@ -75,8 +75,8 @@ def _run_walkthrough(request: _Request) -> None:
 
 
 def _run_analysis(request: _Request) -> None:
-    from experiments.analysis import run_analysis
-    from experiments.config.analysis import load_analysis
+    from experiments.kinds.analysis.config import load_analysis
+    from experiments.kinds.analysis.run import run_analysis
 
     analysis = load_analysis(request.config, request.overrides)
     table = run_analysis(analysis, request.folder(analysis.name))
@@ -85,9 +85,9 @@ def _run_analysis(request: _Request) -> None:
 
 
 def _run_convergence(request: _Request) -> None:
-    from experiments.config.convergence import Estimates, load_convergence
-    from experiments.convergence import run_convergence
-    from experiments.estimates import estimates_text, run_estimates
+    from experiments.kinds.convergence.config import Estimates, load_convergence
+    from experiments.kinds.convergence.estimates import estimates_text, run_estimates
+    from experiments.kinds.convergence.run import run_convergence
 
     plugins = load_all(request.plugin_files)
     convergence = load_convergence(request.config, request.overrides, plugins)
@@ -102,9 +102,9 @@ def _run_convergence(request: _Request) -> None:
 
 
 def _run_stability(request: _Request) -> None:
-    from experiments.config.stability import load_stability
-    from experiments.stability.run import run_stability, summary_text
-    from experiments.tables import read_table
+    from experiments.kinds.stability.config import load_stability
+    from experiments.kinds.stability.run import run_stability, summary_text
+    from experiments.results.tables import read_table
 
     plugins = load_all(request.plugin_files)
     stability = load_stability(request.config, request.overrides, plugins)
@@ -115,9 +115,9 @@ def _run_stability(request: _Request) -> None:
 
 
 def _run_sweep(request: _Request) -> None:
-    from experiments.config.sweep import load_sweep
-    from experiments.sweep.run import run_sweep
-    from experiments.tables import read_table
+    from experiments.kinds.sweep.config import load_sweep
+    from experiments.kinds.sweep.run import run_sweep
+    from experiments.results.tables import read_table
 
     plugins = load_all(request.plugin_files)
     sweep = load_sweep(request.config, request.overrides, plugins)
@@ -130,10 +130,10 @@ def _run_sweep(request: _Request) -> None:
 
 
 def _run_savings(request: _Request) -> None:
-    from experiments.config.savings import load_savings
-    from experiments.report.savings import write_savings_report
-    from experiments.savings import run_savings, savings_text
-    from experiments.tables import read_table
+    from experiments.kinds.savings.config import load_savings
+    from experiments.kinds.savings.report import write_savings_report
+    from experiments.kinds.savings.run import run_savings, savings_text
+    from experiments.results.tables import read_table
 
     plugins = load_all(request.plugin_files)
     savings = load_savings(request.config, request.overrides, plugins)
@@ -155,7 +155,7 @@ def _interruptible(folder: Path) -> Iterator[None]:
 
 
 def _print_published(folder: Path) -> None:
-    from experiments.published import published_text, read_published
+    from experiments.results.published import published_text, read_published
 
     if text := published_text(read_published(folder)):
         print(f"{text}\n")
@@ -163,12 +163,12 @@ def _print_published(folder: Path) -> None:
 
 def report_folder(folder: Path, *, recompute: bool = False) -> None:
     """Writes the report of a result folder again; ``recompute`` computes its metrics again first."""
+    from experiments.kinds.convergence.report import write_convergence_report
+    from experiments.kinds.savings.report import is_savings, write_savings_report
+    from experiments.kinds.stability.report import is_stability, write_stability_report
+    from experiments.kinds.sweep.store import is_sweep
+    from experiments.kinds.sweep.write import write_sweep
     from experiments.report import recompute_metrics, write_report
-    from experiments.report.convergence import write_convergence_report
-    from experiments.report.savings import is_savings, write_savings_report
-    from experiments.report.stability import is_stability, write_stability_report
-    from experiments.sweep.store import is_sweep
-    from experiments.sweep.write import write_sweep
 
     if is_sweep(folder):
         print(f"Report: {write_sweep(folder, recompute=recompute)}")
@@ -193,30 +193,30 @@ def explain_experiment(config: Path, *, overrides: Sequence[str], plugin_files: 
     """Prints what an experiment will do."""
     kind = kind_of(config, overrides)
     if kind == "analysis":
-        from experiments.analysis import explain_analysis
-        from experiments.config.analysis import load_analysis
+        from experiments.kinds.analysis.config import load_analysis
+        from experiments.kinds.analysis.run import explain_analysis
 
         print(explain_analysis(load_analysis(config, overrides)))
         return
     plugins = load_all(plugin_files)
     if kind == "stability":
-        from experiments.config.stability import load_stability
-        from experiments.stability.run import explain_stability
+        from experiments.kinds.stability.config import load_stability
+        from experiments.kinds.stability.run import explain_stability
 
         print(explain_stability(load_stability(config, overrides, plugins), plugins))
     elif kind == "sweep":
-        from experiments.config.sweep import load_sweep
-        from experiments.sweep.run import explain_sweep
+        from experiments.kinds.sweep.config import load_sweep
+        from experiments.kinds.sweep.run import explain_sweep
 
         print(explain_sweep(load_sweep(config, overrides, plugins), plugins))
     elif kind == "savings":
-        from experiments.config.savings import load_savings
-        from experiments.savings import explain_savings
+        from experiments.kinds.savings.config import load_savings
+        from experiments.kinds.savings.run import explain_savings
 
         print(explain_savings(load_savings(config, overrides, plugins), plugins))
     elif kind == "convergence":
-        from experiments.config.convergence import Estimates, load_convergence
-        from experiments.convergence import explain_convergence
+        from experiments.kinds.convergence.config import Estimates, load_convergence
+        from experiments.kinds.convergence.run import explain_convergence
 
         convergence = load_convergence(config, overrides, plugins)
         if isinstance(convergence, Estimates):
@@ -224,7 +224,7 @@ def explain_experiment(config: Path, *, overrides: Sequence[str], plugin_files: 
         else:
             print(explain_convergence(convergence, plugins))
     else:
-        from experiments.config.schema import load_experiment
-        from experiments.explain import explain
+        from experiments.kinds.walkthrough.config import load_experiment
+        from experiments.kinds.walkthrough.explain import explain
 
         print(explain(load_experiment(config, overrides, plugins), plugins))

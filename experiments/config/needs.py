@@ -10,8 +10,8 @@ import numpy as np
 from experiments.config.messages import Loc
 from experiments.config.source import Source
 from wkernels.errors import InputError
-from wkernels.lights import Light
-from wkernels.scene import Mesh, Scene
+from wkernels.scene.lights import Light
+from wkernels.scene.model import Mesh, Scene
 
 PLANAR_TOLERANCE = 1e-6  # of the mesh's extent
 

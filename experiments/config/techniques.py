@@ -19,7 +19,7 @@ from pydantic_core import to_jsonable_python
 
 from experiments.config.messages import Loc, shown
 from experiments.config.source import Source, StrictModel, validate
-from experiments.published import QUANTITIES
+from experiments.results.published import QUANTITIES
 from wkernels.errors import InputError, nearest
 
 _OPTIONS = ("label", "projection", "sweep", "published")
@@ -167,7 +167,7 @@ def _projection(
 
 def check_projection(source: Source, loc: Loc, settings: dict[str, Any]) -> None:
     """Refuses values that a projection may have but for which there is no plugin; InputError names the key."""
-    from algorithms.composition import compose
+    from algorithms.projections.composition import compose
 
     try:
         compose(settings)

@@ -5,6 +5,6 @@ the order of ``page.SCRIPTS``. What a script shows it reads from JSON in the pag
 """
 
 from experiments.report.write import write_report
-from experiments.summary import recompute_metrics
+from experiments.results.summary import recompute_metrics
 
 __all__ = ["recompute_metrics", "write_report"]

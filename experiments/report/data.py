@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.images import read_exr, read_png, visibility_view, write_jpeg
-from experiments.metrics import MAP_METRICS, METRICS
+from experiments.metrics.registry import MAP_METRICS, METRICS
 from experiments.report.fields import REFERENCE, FieldFrame, error_palette
 from experiments.report.pictures import jpeg_url
-from experiments.store import Store
-from experiments.tables import read_table
+from experiments.results.images import read_exr, read_png, visibility_view, write_jpeg
+from experiments.results.store import Store
+from experiments.results.tables import read_table
 
 THUMB_WIDTH = 260  # pixels
 MAX_SHADED_CHARACTERS = 6_000_000  # of pictures that only the viewer shows

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.images import error_colors, read_exr
-from experiments.store import RawKind, Store
+from experiments.results.images import error_colors, read_exr
+from experiments.results.store import RawKind, Store
 
 LEVELS = 65534
 NO_VALUE = 65535

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.images import error_colors, read_png, write_jpeg
 from experiments.report.fields import evenly
-from experiments.store import Store, ViewKind
+from experiments.results.images import error_colors, read_png, write_jpeg
+from experiments.results.store import Store, ViewKind
 
 MAX_FRAMES = 3  # a page of eight techniques then stays within a few megabytes
 MAX_WIDTH = 960  # pixels; larger pictures are shown by every second, third, ... pixel

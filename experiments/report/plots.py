@@ -43,7 +43,7 @@ def error_vs_time(
     """Median error against median frame time, quartile bars over frames, Pareto front drawn, dominated points faint.
 
     Args:
-        summary: As ``experiments.summary.summarise`` gives it.
+        summary: As ``experiments.results.summary.summarise`` gives it.
         look: Looks of the labels.
         errors: Error column.
         title: Name of the error on its axis.
@@ -122,7 +122,7 @@ def per_frame(frames: pd.DataFrame, look: Look, column: str, title: str, *, log:
     """One column of frames.csv over the frame number, a line per label; below them what each frame uncovered.
 
     Args:
-        frames: As ``experiments.summary.load_frames`` gives it.
+        frames: As ``experiments.results.summary.load_frames`` gives it.
         look: Looks of the labels.
         column: Column to draw; empty cells are left out.
         title: Name of the axis, with unit.

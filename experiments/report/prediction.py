@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from experiments.prediction import ALL, PREDICTORS, WITHIN_FRAMES, Correlation, points_of
 from experiments.report.style import Look, log_axis, styled
+from experiments.results.prediction import ALL, PREDICTORS, WITHIN_FRAMES, Correlation, points_of
 
 TITLES = {
     "m_x_max": "largest m_x along the view",
@@ -41,8 +41,8 @@ def scatter(frames: pd.DataFrame, found: list[Correlation], look: Look) -> Figur
     """A panel per predictor, a point per label and frame; rank correlations in titles and legend.
 
     Args:
-        frames: As ``experiments.summary.load_frames`` gives it.
-        found: Its ``experiments.prediction.correlations``, at least one.
+        frames: As ``experiments.results.summary.load_frames`` gives it.
+        found: Its ``experiments.results.prediction.correlations``, at least one.
         look: Looks of the labels.
     """
     predictors = list(dict.fromkeys(row.predictor for row in found))

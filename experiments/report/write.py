@@ -9,20 +9,20 @@ import pandas as pd
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from experiments import summary
-from experiments.images import ERROR_SCALE
-from experiments.metrics import METRICS, outdated
-from experiments.prediction import Correlation, write_prediction
-from experiments.published import read_published
+from experiments.kinds.stability.report import stability_values
+from experiments.metrics.registry import METRICS, outdated
 from experiments.report import plots, style
 from experiments.report.data import chart_data, curve_data, parameters, thumbs, viewer_data
 from experiments.report.fields import field_frames
 from experiments.report.page import number, render
 from experiments.report.pictures import error_scale_css, picture_frames, view_groups
 from experiments.report.prediction import scatter
-from experiments.report.stability import stability_values
-from experiments.store import Store
-from experiments.tables import write_text
+from experiments.results import summary
+from experiments.results.images import ERROR_SCALE
+from experiments.results.prediction import Correlation, write_prediction
+from experiments.results.published import read_published
+from experiments.results.store import Store
+from experiments.results.tables import write_text
 from wkernels.errors import InputError
 
 _PAPER = ("png", "svg", "pdf")

@@ -1,4 +1,4 @@
-"""Scene files (YAML or the same keys as a dict) to ``wkernels.scene.Scene``: meshes, lights, camera paths."""
+"""Scene files (YAML or the same keys as a dict) to ``wkernels.scene.model.Scene``: meshes, lights, camera paths."""
 
 from experiments.scenes.loader import load_scene, scene_from_source
 

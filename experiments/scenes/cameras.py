@@ -16,7 +16,7 @@ from experiments.scenes.place import Place
 from experiments.scenes.poses import check_order
 from experiments.scenes.schema import CameraKeyframe, CameraOptions, Orbit, PathOptions
 from wkernels.errors import InputError
-from wkernels.scene import Camera
+from wkernels.scene.model import Camera
 
 _COLUMNS = ("frame", "eye_x", "eye_y", "eye_z", "target_x", "target_y", "target_z")
 

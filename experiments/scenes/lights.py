@@ -1,4 +1,4 @@
-"""Lights of a scene file as ``wkernels.lights`` objects."""
+"""Lights of a scene file as ``wkernels.scene.lights`` objects."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from experiments.scenes import schema
 from experiments.scenes.place import Place
 from experiments.scenes.poses import KeyframedPose, check_order
-from wkernels.light_motion import transformed
-from wkernels.lights import LIGHT_KINDS, Light
+from wkernels.scene.light_motion import transformed
+from wkernels.scene.lights import LIGHT_KINDS, Light
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec. 709 colours (ITU-R BT.709)
 _RELATIVE_TOLERANCE = 1e-6  # of a polygon's extent: how far from planar and convex it may be

@@ -1,4 +1,4 @@
-"""Reads a scene file: every mesh, light and camera key is checked, resolved and put into a ``wkernels.scene.Scene``."""
+"""Reads a scene file: every mesh, light and camera key is checked, resolved and put into a ``Scene``."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from experiments.scenes.lights import build_light
 from experiments.scenes.place import Place, misspelt
 from experiments.scenes.poses import KeyframedPose, pose
 from wkernels.errors import nearest
-from wkernels.lights import Light
-from wkernels.scene import Mesh, Scene
+from wkernels.scene.lights import Light
+from wkernels.scene.model import Mesh, Scene
 
 _DIFFUSE = (0.8, 0.8, 0.8)
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from wkernels.clipping import ConvexBody, box_polyhedron, view_polyhedron
-from wkernels.views import HostView
+from wkernels.projections.clipping import ConvexBody, box_polyhedron, view_polyhedron
+from wkernels.scene.views import HostView
 
 
 def edges(body: ConvexBody) -> np.ndarray:

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from experiments.report.style import INK, log_axis, styled
 from experiments.views.sheet import Panel, Sheet
 from experiments.views.subject import Subject
-from wkernels.light_views import perspective_aliasing
-from wkernels.perspective_error import TiltedFrustum
-from wkernels.splits import pseudo_planes
+from wkernels.analysis.perspective_error import TiltedFrustum
+from wkernels.projections.light_views import perspective_aliasing
+from wkernels.projections.splits import pseudo_planes
 
 ORANGE, BLUE = "#e8710a", "#1a5fd0"  # m_x and m_z, as in figure 5.8
 STEPS = 400  # depths per split
@@ -58,7 +58,7 @@ def closed_form(subject: Subject, borders: np.ndarray) -> tuple[np.ndarray, np.n
     """Depths, m_x and m_z of the closed form, or why it does not hold here.
 
     It is the error of a map fitted to the whole frustum between two borders, under directional light in the plane of
-    view and up vector (``wkernels.perspective_error.TiltedFrustum``). The scene's box, which cuts the
+    view and up vector (``wkernels.analysis.perspective_error.TiltedFrustum``). The scene's box, which cuts the
     frustum, is not in it.
     """
     towards = subject.to_light(np.zeros(3))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from experiments.config.models import ThirdPerson
-from wkernels.scene import Camera
-from wkernels.views import HostView
+from wkernels.scene.model import Camera
+from wkernels.scene.views import HostView
 
 AZIMUTH_DEG, ELEVATION_DEG = 60.0, 35.0
 ROOM = 1.06  # so that nothing of what the eye sees touches the picture's rim

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from scipy.spatial import ConvexHull, QhullError
 
-from experiments.images import shaded_view
+from experiments.results.images import shaded_view
 from experiments.views.bodies import edges
 from experiments.views.lines import draw_lines, project
 from experiments.views.sheet import Bar, Chips, Panel, Sheet
@@ -16,9 +16,9 @@ from experiments.views.space import VIEW_VECTOR
 from experiments.views.subject import Subject
 from experiments.views.surfaces import FRUSTUM, READ, UNREAD, WASTED, split_color, tinted
 from experiments.views.texels import map_positions
+from wkernels.frame.shading import AMBIENT, SKY
 from wkernels.raster import Rasteriser
-from wkernels.shading import AMBIENT, SKY
-from wkernels.views import HostView
+from wkernels.scene.views import HostView
 
 SIZES = {1: 520, 2: 440, 3: 360}
 SMALL = 300  # pixels a side of a panel where there are four layers or more

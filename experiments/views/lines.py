@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from wkernels.views import HostView
+from wkernels.scene.views import HostView
 
 SLACK = 0.004  # of the depth: a line on a surface is not hidden by it
 DASH, GAP = 6.0, 5.0  # pixels of hidden lines

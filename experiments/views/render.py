@@ -8,9 +8,9 @@ import traceback
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
-from experiments.images import write_png
-from experiments.store import Store
-from experiments.tables import write_text
+from experiments.results.images import write_png
+from experiments.results.store import Store
+from experiments.results.tables import write_text
 from experiments.views import error_plot, light_maps, space, surfaces
 from experiments.views.kinds import KINDS, picture_names
 from experiments.views.sheet import Sheet, composed
@@ -20,10 +20,10 @@ from experiments.views.words import projection_in_words
 if TYPE_CHECKING:
     import numpy as np
 
-    from experiments.config.schema import Experiment
     from experiments.config.techniques import TechniqueRun
-    from experiments.engine import FrameLike, WarpEngine
-    from wkernels.frame import Session
+    from experiments.kinds.walkthrough.config import Experiment
+    from experiments.rendering.engine import FrameLike, WarpEngine
+    from wkernels.frame.session import Session
 
 Skipped = tuple[str, str, int]
 """What, why, and how many: a row of left_out.csv."""

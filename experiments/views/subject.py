@@ -11,20 +11,20 @@ import numpy as np
 import warp as wp
 
 from experiments.config.models import Reference, Views
-from experiments.config.schema import Experiment
 from experiments.config.techniques import TechniqueRun
-from experiments.engine import FrameLike, WarpEngine
-from experiments.reference import AREA_TECHNIQUE, POINT_TECHNIQUE
+from experiments.kinds.walkthrough.config import Experiment
+from experiments.rendering.engine import FrameLike, WarpEngine
+from experiments.rendering.reference import AREA_TECHNIQUE, POINT_TECHNIQUE
 from experiments.views.bodies import frustum_between
 from experiments.views.free_camera import free_camera
-from wkernels.clipping import ConvexBody, box_polyhedron, clip_polyhedron, frustum_planes
-from wkernels.focusing import depth_range, light_body, seen_body
-from wkernels.frame import Session
-from wkernels.geometry import CASTS, Bounds
-from wkernels.light_maps.light_layers import chosen_layers
+from wkernels.analysis.light_layers import chosen_layers
+from wkernels.frame.session import Session
+from wkernels.projections.clipping import ConvexBody, box_polyhedron, clip_polyhedron, frustum_planes
+from wkernels.projections.focusing import depth_range, light_body, seen_body
 from wkernels.raster import CULL_NONE, Rasteriser
-from wkernels.scene import Camera
-from wkernels.views import HostView, LayerChoice, ProjectiveView
+from wkernels.scene.geometry import CASTS, Bounds
+from wkernels.scene.model import Camera
+from wkernels.scene.views import HostView, LayerChoice, ProjectiveView
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Shot:
         view: The camera.
         depth: Linear, +inf where nothing is seen.
         position, normal: (H, W, 3) float64.
-        flags: Of the mesh, see ``wkernels.geometry``; 0 where nothing is seen.
+        flags: Of the mesh, see ``wkernels.scene.geometry``; 0 where nothing is seen.
         color: Shaded by the technique, linear (H, W, 3).
         visibility: The technique's, NaN where nothing receives.
         layer: Which layer of the light map is read, -1 for none.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from experiments.images import ERROR_SCALE, NO_RECEIVER, error_colors, error_view, shaded_view
+from experiments.results.images import ERROR_SCALE, NO_RECEIVER, error_colors, error_view, shaded_view
 from experiments.views.bodies import edges
 from experiments.views.lines import draw_lines
 from experiments.views.sheet import Bar, Chips, Panel, Sheet

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from experiments.views.subject import Shot, Subject
-from wkernels.perspective_error import texels_per_pixel
-from wkernels.views import HostView
+from wkernels.analysis.perspective_error import texels_per_pixel
+from wkernels.scene.views import HostView
 
 STOPS = (0.0, 1.0 / 7.75, 1.0 / 3.25, 1.0, 3.25, 7.75, 10.0)
 STOP_COLORS = ((0.2, 0, 0), (1, 0.2, 0), (1, 1, 0), (0, 1, 0), (0.3, 0.8, 1), (0, 0, 1), (0, 0, 0.4))

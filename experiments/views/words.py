@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from wkernels.views import HostView, ProjectiveView
+from wkernels.scene.views import HostView, ProjectiveView
 
 _FITS = {"focused": "focused on what the eye sees", "scene": "fitted to the whole scene"}
 _WARPS = {
@@ -22,15 +22,15 @@ def projection_in_words(settings: Mapping[str, Any], views: list[HostView], ligh
     """One line: fit, warp, splits, whatever else is not at its default, maps and light.
 
     Args:
-        settings: Keys of ``algorithms.composition.DEFAULTS``; what is missing is at its default.
+        settings: Keys of ``algorithms.projections.composition.DEFAULTS``; what is missing is at its default.
         views: The maps in use, one a layer; may be empty.
         light: Kind of light.
     """
-    from algorithms.composition import DEFAULTS
+    from algorithms.projections.composition import DEFAULTS
 
     chosen = {**DEFAULTS, **settings}
     if views and chosen["fit"] != "scene" and not any(isinstance(view, ProjectiveView) for view in views):
-        # the light is amid what is seen, or nothing is: then no plane map holds it (``algorithms.composition``)
+        # the light is amid what is seen, or nothing is: then no plane map holds it (``projections.composition``)
         chosen = dict(DEFAULTS)
     parts = [_FITS.get(str(chosen["fit"]), f"fit {chosen['fit']}")]
     parts.append(_WARPS.get(str(chosen["warp"]), str(chosen["warp"])))

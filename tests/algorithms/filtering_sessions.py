@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from algorithms.plugins import find
-from wkernels.frame import FrameResult, Session
-from wkernels.geometry import Geometry
-from wkernels.lights import (
+from wkernels.frame.session import FrameResult, Session
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.lights import (
     PointLight,
 )
-from wkernels.scene import Scene
+from wkernels.scene.model import Scene
 
 INSIDE = PointLight(position=np.array([0.2, 3.2, 1.5]))  # among the casters of `cluttered`: six faces
 AREA_KINDS = ("directional", "rectangle", "disc", "sphere", "linear", "polygon")

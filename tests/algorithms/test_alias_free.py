@@ -14,11 +14,11 @@ import wkernels.irregular as irregular
 from algorithms.hard.alias_free import AliasFree
 from algorithms.reference.ray_cast_point_shadow import RayCastPointShadow
 from algorithms.technique import Technique
-from wkernels.frame import Session
-from wkernels.geometry import Geometry
-from wkernels.lanes import uses_lanes
-from wkernels.lights import DirectionalLight, Light, PointLight
-from wkernels.scene import Camera, Mesh, Scene
+from wkernels.device.lanes import uses_lanes
+from wkernels.frame.session import Session
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.lights import DirectionalLight, Light, PointLight
+from wkernels.scene.model import Camera, Mesh, Scene
 
 SIZE = (160, 120)
 SAME = 1e-3  # share of pixels that lie within float32's rounding of an edge

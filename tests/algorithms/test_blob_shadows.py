@@ -10,9 +10,9 @@ from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from algorithms.plugins import find
-from wkernels.blobs import bounding_ellipsoid, placed_ellipsoid
-from wkernels.lights import DirectionalLight, Light, PointLight
-from wkernels.scene import Mesh, Scene
+from wkernels.casters.blobs import bounding_ellipsoid, placed_ellipsoid
+from wkernels.scene.lights import DirectionalLight, Light, PointLight
+from wkernels.scene.model import Mesh, Scene
 
 LIGHTS: dict[str, Light] = {
     "point": PointLight(position=np.array([1.0, 9.0, -2.0])),

@@ -9,7 +9,7 @@ import pytest
 import small_scenes as small
 from filtering_sessions import INSIDE, TECHNIQUES, render, session, technique
 
-from wkernels.lights import (
+from wkernels.scene.lights import (
     DirectionalLight,
     DiscLight,
     Light,
@@ -17,7 +17,7 @@ from wkernels.lights import (
     RectangleLight,
     SphereLight,
 )
-from wkernels.scene import Camera, Mesh, Scene
+from wkernels.scene.model import Camera, Mesh, Scene
 
 # ---- whole images against closed forms ----------------------------------------------------------------------------------
 

@@ -13,8 +13,9 @@ from filtering_sessions import AREA_KINDS, INSIDE, session
 from pydantic import ValidationError
 
 from algorithms.plugins import find
+from wkernels.device.launch import launch
 from wkernels.errors import InputError
-from wkernels.filtering import (
+from wkernels.filters.penumbra import (
     TAP_SETS,
     LightFootprint,
     mean_blocker_depth,
@@ -24,10 +25,10 @@ from wkernels.filtering import (
     tap_set,
     texels_per_ratio,
 )
-from wkernels.launch import launch
-from wkernels.light_extent import light_half_axes
 from wkernels.light_maps.light_map import Bias, LightMap, Receiver, depths_on_host, locate, locate_receiver
-from wkernels.lights import (
+from wkernels.sampling.point_sets import halton
+from wkernels.scene.light_extent import light_half_axes
+from wkernels.scene.lights import (
     DirectionalLight,
     DiscLight,
     Light,
@@ -35,7 +36,6 @@ from wkernels.lights import (
     RectangleLight,
     SphereLight,
 )
-from wkernels.sampling import halton
 
 # ---- kernels against twins ----------------------------------------------------------------------------------------------
 

@@ -13,12 +13,13 @@ from compare import assert_twin
 from test_shadow_buffer import EYE, HEIGHT, WIDTH, ground_depth, ray
 
 from algorithms.plugins import find
-from wkernels.frame import Session
-from wkernels.geometry import Geometry
-from wkernels.launch import launch
-from wkernels.temporal.estimators import UNLIMITED, add_test, fade_out, sampling_weight
+from wkernels.device.launch import launch
+from wkernels.frame.session import Session
+from wkernels.sampling.estimators import UNLIMITED, add_test, fade_out, sampling_weight
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.views import View
 from wkernels.temporal.mesh_motion import mesh_motion, pull_mesh_motion
-from wkernels.temporal.shadow_buffer import (
+from wkernels.temporal.shadow_buffer.record import (
     BILINEAR,
     TEXEL_TYPES,
     fetch_linear,
@@ -27,8 +28,7 @@ from wkernels.temporal.shadow_buffer import (
     storage_of,
     write_record,
 )
-from wkernels.temporal.shadow_buffer_step import begin_step
-from wkernels.views import View
+from wkernels.temporal.shadow_buffer.step import begin_step
 
 # ---- fading and blending ------------------------------------------------------------------------------------------------
 

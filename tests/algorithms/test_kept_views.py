@@ -13,15 +13,23 @@ from compare import assert_twin
 from test_shadow_buffer import EYE, HEIGHT, WIDTH, fetch_twin, ground_depth, ray
 
 from algorithms.plugins import find
-from wkernels.frame import Session
-from wkernels.geometry import Geometry
-from wkernels.lanes import uses_lanes
-from wkernels.launch import launch
-from wkernels.scene import Camera, Scene
-from wkernels.temporal import shadow_buffer_step
-from wkernels.temporal.kept_views import PROBE, PUT_ASIDE, SEE, KeptViews, ViewShelf, fetch_kept, pull_view_shelf
-from wkernels.temporal.shadow_buffer import BILINEAR, TEXEL_TYPES
-from wkernels.views import View
+from wkernels.device.lanes import uses_lanes
+from wkernels.device.launch import launch
+from wkernels.frame.session import Session
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.model import Camera, Scene
+from wkernels.scene.views import View
+from wkernels.temporal.shadow_buffer import step as shadow_buffer_step
+from wkernels.temporal.shadow_buffer.kept_views import (
+    PROBE,
+    PUT_ASIDE,
+    SEE,
+    KeptViews,
+    ViewShelf,
+    fetch_kept,
+    pull_view_shelf,
+)
+from wkernels.temporal.shadow_buffer.record import BILINEAR, TEXEL_TYPES
 
 STEPS = int(BILINEAR)
 

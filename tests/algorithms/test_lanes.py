@@ -11,20 +11,22 @@ import pytest
 import small_scenes as small
 import warp as wp
 
-from algorithms.composition import compose
 from algorithms.plugins import find
+from algorithms.projections.composition import compose
 from algorithms.technique import MapParams
 from experiments.scenes.loader import load_scene
-from wkernels.frame import Session
-from wkernels.gbuffer import GBuffer, is_back_lit
-from wkernels.geometry import RECEIVES, Geometry
-from wkernels.lanes import LANES, runs_per_row, uses_lanes
-from wkernels.launch import launch
-from wkernels.light_maps.light_map import Bias, LightMap, locate_receiver, texels_per_length, to_light
+from wkernels.device.lanes import LANES, runs_per_row, uses_lanes
+from wkernels.device.launch import launch
+from wkernels.filters import neighbourhood_filter
+from wkernels.frame.session import Session
+from wkernels.light_maps.light_map import Bias, LightMap, locate_receiver, texels_per_length
 from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
-from wkernels.lights import Light, SphereLight
-from wkernels.scene import Scene
-from wkernels.temporal import mover_shadow, neighbourhood_filter, shadow_buffer_step
+from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
+from wkernels.scene.geometry import RECEIVES, Geometry
+from wkernels.scene.lights import Light, SphereLight
+from wkernels.scene.model import Scene
+from wkernels.temporal.shadow_buffer import step as shadow_buffer_step
+from wkernels.temporal.shadow_buffer.record import mover_shadow
 
 pytestmark = pytest.mark.usefixtures("on_cpu")
 BIASES = ("none", "constant", "slope", "back_face", "slope_back_face", "normal")

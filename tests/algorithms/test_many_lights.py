@@ -13,16 +13,16 @@ from pydantic import ValidationError
 
 from algorithms.plugins import find
 from experiments import render_visibility
-from experiments.config.schema import load_experiment
-from experiments.engine import WarpEngine
-from experiments.explain import explain
-from experiments.reference import ReferenceRenderer
+from experiments.kinds.walkthrough.config import load_experiment
+from experiments.kinds.walkthrough.explain import explain
+from experiments.rendering.engine import WarpEngine
+from experiments.rendering.reference import ReferenceRenderer
 from wkernels.errors import InputError
-from wkernels.frame import FrameResult, Session
-from wkernels.geometry import Geometry
-from wkernels.lights import Light
-from wkernels.scene import Scene
-from wkernels.temporal.many_lights import drawn_light, light_weights
+from wkernels.frame.session import FrameResult, Session
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.lights import Light
+from wkernels.scene.model import Scene
+from wkernels.temporal.shadow_buffer.many_lights import drawn_light, light_weights
 
 SIZE = (96, 72)
 BOTH = ("tc_soft_paper", "tc_soft_thesis")

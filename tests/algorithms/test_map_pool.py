@@ -9,22 +9,22 @@ import pytest
 import small_scenes as small
 import warp as wp
 
-from algorithms.composition import compose
+from algorithms.projections.composition import compose
 from algorithms.technique import MapParams
-from wkernels.frame import Session
-from wkernels.gbuffer import GBuffer, is_back_lit
-from wkernels.geometry import CASTS, RECEIVES, Geometry
-from wkernels.launch import launch
-from wkernels.light_maps.kept_maps import KeptMaps
-from wkernels.light_maps.light_map import Bias, LightMap, compare_nearest, locate_receiver, to_light
-from wkernels.light_maps.map_pool import MapPool, allocate_pool, map_test
-from wkernels.light_maps.map_pool_drawing import PoolPainter, store_layers, store_tiles
-from wkernels.light_maps.mover_maps import MoverMaps, box_axes, box_view, mover_reach
-from wkernels.lights import DiscLight, Light
-from wkernels.sampling import light_set
-from wkernels.scene import Scene
-from wkernels.temporal.carried_history import decode_offset, encode_offset
-from wkernels.temporal.pool_update import MoverReach, hidden_variance, may_reach
+from wkernels.device.launch import launch
+from wkernels.frame.session import Session
+from wkernels.light_maps.light_map import Bias, LightMap, compare_nearest, locate_receiver
+from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
+from wkernels.sampling.point_sets import light_set
+from wkernels.scene.geometry import CASTS, RECEIVES, Geometry
+from wkernels.scene.lights import DiscLight, Light
+from wkernels.scene.model import Scene
+from wkernels.temporal.map_pool.carried_history import decode_offset, encode_offset
+from wkernels.temporal.map_pool.drawing import PoolPainter, store_layers, store_tiles
+from wkernels.temporal.map_pool.kept_maps import KeptMaps
+from wkernels.temporal.map_pool.mover_maps import MoverMaps, box_axes, box_view, mover_reach
+from wkernels.temporal.map_pool.pool import MapPool, allocate_pool, map_test
+from wkernels.temporal.map_pool.update import MoverReach, hidden_variance, may_reach
 
 LAMP = small.light("rectangle", (2.0, 8.0, 1.0), 2.0)
 LIGHTS: dict[str, Light] = {

@@ -8,9 +8,9 @@ import small_scenes as small
 import warp as wp
 from filtering_sessions import render
 
-from wkernels.launch import launch
+from wkernels.device.launch import launch
+from wkernels.filters.moments import Chebyshev, depth_range, find_moments, lit_share, sample_bilinear
 from wkernels.light_maps.light_map import LightMap
-from wkernels.light_maps.moments import Chebyshev, depth_range, find_moments, lit_share, sample_bilinear
 
 
 @wp.kernel

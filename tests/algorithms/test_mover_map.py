@@ -12,13 +12,13 @@ import warp as wp
 from compare import assert_twin
 
 from algorithms.plugins import find
-from wkernels.frame import FrameResult, Session
-from wkernels.geometry import Geometry
-from wkernels.launch import launch
+from wkernels.device.launch import launch
+from wkernels.frame.session import FrameResult, Session
 from wkernels.light_maps.light_map import depths_on_host
-from wkernels.scene import Mesh, Scene
-from wkernels.temporal import mover_shadow
-from wkernels.temporal.mover_shadow import OVERLAPS, join_error, join_hidden, mover_regions
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.model import Mesh, Scene
+from wkernels.temporal.shadow_buffer.mover_shadow import OVERLAPS, join_error, join_hidden, mover_regions
+from wkernels.temporal.shadow_buffer.record import mover_shadow
 
 SIZE = (96, 72)
 BOTH = ("tc_soft_paper", "tc_soft_thesis")
@@ -83,7 +83,7 @@ def truth(scene: Scene, device: str, frame: int) -> np.ndarray:
 @pytest.mark.parametrize("projection", [None, {"fit": "focused", "splits": 3}])
 def test_maps_hold_the_casters_that_are_asked_for(projection: dict[str, Any] | None, device: str) -> None:
     """Bit for bit those of scenes that have no others; triangles that stand come before those that move."""
-    from algorithms.composition import compose
+    from algorithms.projections.composition import compose
 
     scene = small.cluttered(LAMP)
     moves = replace(scene.meshes[0], moving=True)

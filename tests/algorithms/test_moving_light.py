@@ -13,9 +13,9 @@ import small_scenes as small
 from algorithms.plugins import find
 from experiments import render_visibility
 from wkernels.errors import InputError
-from wkernels.frame import FrameResult, Session
-from wkernels.geometry import Geometry
-from wkernels.scene import Scene
+from wkernels.frame.session import FrameResult, Session
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.model import Scene
 
 SIZE = (96, 72)
 BOTH = ("tc_soft_paper", "tc_soft_thesis")

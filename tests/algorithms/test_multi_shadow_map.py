@@ -11,12 +11,11 @@ import small_scenes as small
 from pydantic import ValidationError
 
 from algorithms.plugins import find
-from wkernels.frame import FrameResult, Session
-from wkernels.geometry import Geometry
-from wkernels.light_maps import map_shelf
-from wkernels.lights import DirectionalLight, Light, PointLight, RectangleLight
-from wkernels.sampling import light_set
-from wkernels.scene import Scene
+from wkernels.frame.session import FrameResult, Session, map_shelf
+from wkernels.sampling.point_sets import light_set
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.lights import DirectionalLight, Light, PointLight, RectangleLight
+from wkernels.scene.model import Scene
 
 
 def render(

@@ -9,11 +9,11 @@ import pytest
 import warp as wp
 from compare import assert_twin
 
-from wkernels.geometry import RECEIVES
-from wkernels.lanes import flat_floats, flat_pairs, runs_per_row, uses_lanes
-from wkernels.launch import launch
+from wkernels.device.lanes import flat_floats, flat_pairs, runs_per_row, uses_lanes
+from wkernels.device.launch import launch
+from wkernels.scene.geometry import RECEIVES
 from wkernels.temporal.neighbourhood_blend import BLEND, BlendSettings, blend_neighbourhood_lanes
-from wkernels.temporal.shadow_buffer import TEXEL_TYPES
+from wkernels.temporal.shadow_buffer.record import TEXEL_TYPES
 
 SHAPE = (23, 37)  # no whole number of runs
 LEAST, LARGEST, GATE, START, RANGE = 0.02, 0.2, 16.0, 16.0, 0.05

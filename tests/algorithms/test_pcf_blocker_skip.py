@@ -10,9 +10,9 @@ import small_scenes as small
 from filtering_sessions import INSIDE, render, session, technique
 
 from wkernels.errors import InputError
-from wkernels.lights import Light, PointLight
-from wkernels.scene import Camera, Scene
-from wkernels.searched_filter import rim_taps
+from wkernels.filters.searched_filter import rim_taps
+from wkernels.scene.lights import Light, PointLight
+from wkernels.scene.model import Camera, Scene
 
 
 def unfiltered(result: Any) -> int:

@@ -9,10 +9,10 @@ import pytest
 import small_scenes as small
 from filtering_sessions import INSIDE, OPTIONS, render
 
-from wkernels import searched_filter
-from wkernels.lanes import uses_lanes
-from wkernels.lights import Light, PointLight
-from wkernels.scene import Camera, Scene
+from wkernels.device.lanes import uses_lanes
+from wkernels.filters import searched_filter
+from wkernels.scene.lights import Light, PointLight
+from wkernels.scene.model import Camera, Scene
 
 FILTERS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("pcf_poisson", {}),

@@ -9,12 +9,12 @@ import pytest
 import small_scenes as small
 from filtering_sessions import INSIDE, OPTIONS, render, session, technique
 
-from algorithms.composition import compose
 from algorithms.filtering import pcf_split_kernel
-from wkernels.lanes import uses_lanes
-from wkernels.light_maps.layer_density import layer_densities
-from wkernels.lights import DirectionalLight, Light, PointLight
-from wkernels.scene import Camera, Scene
+from algorithms.projections.composition import compose
+from wkernels.device.lanes import uses_lanes
+from wkernels.filters.layer_density import layer_densities
+from wkernels.scene.lights import DirectionalLight, Light, PointLight
+from wkernels.scene.model import Camera, Scene
 
 SPLITS = {"fit": "focused", "splits": 3, "scheme": "log"}
 R = 512

@@ -10,9 +10,9 @@ import small_scenes as small
 from filtering_sessions import INSIDE, OPTIONS, render, technique
 
 from algorithms.plugins import find
-from wkernels.lanes import uses_lanes
-from wkernels.lights import DirectionalLight, Light
-from wkernels.scene import Camera, Mesh, Scene
+from wkernels.device.lanes import uses_lanes
+from wkernels.scene.lights import DirectionalLight, Light
+from wkernels.scene.model import Camera, Mesh, Scene
 
 NAME = "projection_aliasing_mitigation"
 
@@ -89,7 +89,7 @@ def test_lanes_are_the_plain_kernel(lamp: Light, width: int, monkeypatch: pytest
 
 def test_it_smooths_what_the_shadow_map_says() -> None:
     """A twin of the filter on a picture without depth edges: the mean of the pixel and its rounded taps."""
-    from wkernels.temporal.neighbourhood_filter import opposite_taps
+    from wkernels.filters.neighbourhood_filter import opposite_taps
 
     ground = small.mesh("ground", small.plane(40.0), casts=False)
     box = small.mesh("box", small.box((0.0, 9.0, 0.0), (1.0, 0.3, 1.0)), receives=False)

@@ -10,12 +10,19 @@ import small_scenes as small
 import warp as wp
 from filtering_sessions import OPTIONS, render, session, technique
 
-from wkernels.clipping import clip_polygon
-from wkernels.flattening import Flattener, cut_triangles, flatten_vertices, plane_of, receiver_planes, turned_to_light
-from wkernels.geometry import Geometry
-from wkernels.launch import launch
-from wkernels.lights import DirectionalLight, Light, PointLight
-from wkernels.scene import Camera, Mesh, Scene
+from wkernels.casters.flattening import (
+    Flattener,
+    cut_triangles,
+    flatten_vertices,
+    plane_of,
+    receiver_planes,
+    turned_to_light,
+)
+from wkernels.device.launch import launch
+from wkernels.projections.clipping import clip_polygon
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.lights import DirectionalLight, Light, PointLight
+from wkernels.scene.model import Camera, Mesh, Scene
 
 
 def flatten_twin(points: np.ndarray, plane: np.ndarray, light: np.ndarray) -> np.ndarray:

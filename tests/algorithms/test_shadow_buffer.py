@@ -9,13 +9,14 @@ import pytest
 import warp as wp
 from compare import assert_twin
 
-from wkernels.disc_sets import PUBLISHED_POISSON_16
+from wkernels.device.launch import launch
 from wkernels.errors import InputError
-from wkernels.geometry import RECEIVES
-from wkernels.launch import launch
-from wkernels.temporal.estimators import FLOAT16_LIMIT, add_test, hidden_share, share_variance, standard_error
-from wkernels.temporal.neighbourhood_filter import filter_neighbourhood, opposite_taps, pixels_per_length
-from wkernels.temporal.shadow_buffer import (
+from wkernels.filters.neighbourhood_filter import filter_neighbourhood, opposite_taps, pixels_per_length
+from wkernels.sampling.disc_sets import PUBLISHED_POISSON_16
+from wkernels.sampling.estimators import FLOAT16_LIMIT, add_test, hidden_share, share_variance, standard_error
+from wkernels.scene.geometry import RECEIVES
+from wkernels.scene.views import HostView, View
+from wkernels.temporal.shadow_buffer.record import (
     BILINEAR,
     NEAREST,
     TEXEL_TYPES,
@@ -26,7 +27,6 @@ from wkernels.temporal.shadow_buffer import (
     storage_of,
     write_record,
 )
-from wkernels.views import HostView, View
 
 TABLE_1 = (1.0, 0.0, 1.0, 1.0, 1.0, 0.0, 1.0)  # tau of Scherzer et al. 2009, table 1
 

@@ -11,9 +11,9 @@ import small_scenes as small
 from pydantic import ValidationError
 
 from algorithms.plugins import find
-from wkernels.frame import FrameResult, Session
-from wkernels.geometry import Geometry
-from wkernels.scene import Scene
+from wkernels.frame.session import FrameResult, Session
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.model import Scene
 
 SIZE = (96, 72)
 LAMP = small.light("rectangle", (2.0, 8.0, 1.0), 2.0)

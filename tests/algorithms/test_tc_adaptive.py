@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 import small_scenes as small
 
-from algorithms.composition import compose
 from algorithms.plugins import find
+from algorithms.projections.composition import compose
 from experiments.scenes.loader import load_scene
-from wkernels.frame import FrameResult, Session
-from wkernels.geometry import Geometry
-from wkernels.lanes import uses_lanes
-from wkernels.lights import DiscLight, Light
-from wkernels.scene import Scene
+from wkernels.device.lanes import uses_lanes
+from wkernels.frame.session import FrameResult, Session
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.lights import DiscLight, Light
+from wkernels.scene.model import Scene
 
 SIZE = (96, 72)
 LAMP = small.light("rectangle", (2.0, 8.0, 1.0), 2.0)

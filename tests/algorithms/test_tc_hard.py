@@ -13,15 +13,15 @@ import pytest
 import small_scenes as small
 from pydantic import ValidationError
 
-from algorithms.composition import compose
 from algorithms.plugins import find
-from experiments.carry_over import carry_over
+from algorithms.projections.composition import compose
+from experiments.metrics.carry_over import carry_over
 from experiments.scenes.loader import load_scene
-from wkernels.frame import FrameResult, Session
-from wkernels.geometry import Geometry
-from wkernels.lanes import uses_lanes
-from wkernels.lights import Light, PointLight
-from wkernels.scene import Camera, Scene
+from wkernels.device.lanes import uses_lanes
+from wkernels.frame.session import FrameResult, Session
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.lights import Light, PointLight
+from wkernels.scene.model import Camera, Scene
 
 SIZE = (96, 72)
 SUN = small.light("directional", (3.0, 8.0, 2.0), 0.0)

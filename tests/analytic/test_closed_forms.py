@@ -7,7 +7,7 @@ import pytest
 
 from experiments import render_visibility
 from experiments.scenes import analytic
-from wkernels.frame import FrameResult
+from wkernels.frame.session import FrameResult
 
 SCENES = Path(__file__).parents[2] / "configs" / "scenes"
 SAMPLES = 1024

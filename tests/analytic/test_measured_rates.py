@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import small_scenes
 
-from algorithms.composition import compose
-from algorithms.projection import WarpShape, warps
-from wkernels.frame import Session
-from wkernels.geometry import Geometry
-from wkernels.light_maps.sampling_rate import SamplingRate, sampling_rate
-from wkernels.lights import DirectionalLight
-from wkernels.perspective_error import TiltedFrustum
-from wkernels.scene import Camera, Scene
+from algorithms.projections.composition import compose
+from algorithms.projections.projection import WarpShape, warps
+from wkernels.analysis.perspective_error import TiltedFrustum
+from wkernels.analysis.sampling_rate import SamplingRate, sampling_rate
+from wkernels.frame.session import Session
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.lights import DirectionalLight
+from wkernels.scene.model import Camera, Scene
 
 THETA = np.radians(30.0)
 NEAR, FAR = 1.0, 100.0

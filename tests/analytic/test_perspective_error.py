@@ -7,9 +7,9 @@ import itertools
 import numpy as np
 import pytest
 
-from algorithms.projection import WarpShape, warps
+from algorithms.projections.projection import WarpShape, warps
 from algorithms.projections.warps.lispsm_nrepar import strength
-from wkernels.perspective_error import (
+from wkernels.analysis.perspective_error import (
     TiltedFrustum,
     depth_by_coordinate,
     err_accurate,
@@ -19,7 +19,7 @@ from wkernels.perspective_error import (
     storage_factor,
     texels_per_pixel,
 )
-from wkernels.splits import pseudo_planes, shares_of_split, split_borders
+from wkernels.projections.splits import pseudo_planes, shares_of_split, split_borders
 
 THETA = np.radians(30.0)
 TAN = np.tan(THETA)

@@ -9,8 +9,8 @@ import yaml
 from experiments import render_visibility
 from experiments.scenes import load_scene
 from experiments.scenes.analytic import a8_box
-from wkernels.geometry import Geometry
-from wkernels.light_views import scene_views
+from wkernels.projections.light_views import scene_views
+from wkernels.scene.geometry import Geometry
 
 A8 = Path(__file__).parents[2] / "configs" / "scenes" / "a8_box.yaml"
 SIZE = {"width": 320, "height": 240}

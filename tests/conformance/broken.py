@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict
 from rig import CHECKS
 
 from algorithms.technique import Limit, Needs, Params, Technique, setting
-from wkernels.frame import Session as Frame
+from wkernels.frame.session import Session as Frame
 
 Spoil = Callable[[np.ndarray, Frame], np.ndarray]
 BROKEN: list[tuple[str, type[Technique]]] = []

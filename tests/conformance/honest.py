@@ -9,8 +9,8 @@ from __future__ import annotations
 import warp as wp
 
 from algorithms.technique import Limit, Params, Technique, setting
-from wkernels.frame import Session as Frame
-from wkernels.rays import binomial_standard_error, trace_light
+from wkernels.frame.session import Session as Frame
+from wkernels.rays.single_rays import binomial_standard_error, trace_light
 
 
 class Honest(Technique):

@@ -20,7 +20,7 @@ from rig import (
 )
 
 from algorithms.technique import Technique
-from wkernels.scene import Camera, Scene
+from wkernels.scene.model import Camera, Scene
 
 
 def moving_scene(technique: type[Technique]) -> Scene:

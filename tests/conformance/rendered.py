@@ -25,10 +25,10 @@ from rig import (
 
 from algorithms.plugins import find
 from algorithms.technique import Technique
-from wkernels.frame import FrameResult
-from wkernels.geometry import RECEIVES
-from wkernels.lights import Light
-from wkernels.scene import Camera, Scene
+from wkernels.frame.session import FrameResult
+from wkernels.scene.geometry import RECEIVES
+from wkernels.scene.lights import Light
+from wkernels.scene.model import Camera, Scene
 
 
 def frames_of(technique: type[Technique]) -> int:

@@ -12,9 +12,9 @@ import small_scenes
 
 from algorithms.plugins import find
 from algorithms.technique import Technique
-from wkernels.frame import FrameResult, Session
-from wkernels.geometry import Geometry
-from wkernels.lights import (
+from wkernels.frame.session import FrameResult, Session
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.lights import (
     DirectionalLight,
     DiscLight,
     Light,
@@ -24,7 +24,7 @@ from wkernels.lights import (
     RectangleLight,
     SphereLight,
 )
-from wkernels.scene import Camera, Mesh, Scene
+from wkernels.scene.model import Camera, Mesh, Scene
 
 WIDTH, HEIGHT = 64, 48
 SMALL = {"resolution": 256, "samples": 16}  # shared parameter names that cost time

@@ -11,7 +11,7 @@ from over_time import moving_scene
 from rig import HEIGHT, WIDTH, check, kinds_of, lamp, open_session, scaled, scenes_for, small_params, takes_any_mesh
 
 from algorithms.technique import Technique
-from wkernels.scene import Camera, Scene
+from wkernels.scene.model import Camera, Scene
 
 WALK = (0, 1, 2, 2, 2, 5)
 """Frames that are rendered: a walk, a still view, a jump."""

@@ -10,13 +10,13 @@ import numpy as np
 from pydantic import BaseModel
 
 from algorithms.technique import Needs
-from experiments.config.schema import Experiment, Image, Reference
 from experiments.config.techniques import TechniqueRun
-from wkernels.frame import FrameResult
-from wkernels.light_maps.sampling_rate import MapUse, SamplingRate
-from wkernels.lights import RectangleLight
-from wkernels.scene import Camera, Mesh, Scene
-from wkernels.views import eye_view
+from experiments.kinds.walkthrough.config import Experiment, Image, Reference
+from wkernels.analysis.sampling_rate import MapUse, SamplingRate
+from wkernels.frame.session import FrameResult
+from wkernels.scene.lights import RectangleLight
+from wkernels.scene.model import Camera, Mesh, Scene
+from wkernels.scene.views import eye_view
 
 WIDTH, HEIGHT = 24, 16
 

@@ -28,10 +28,10 @@ import OpenImageIO
 from fake_engine import FakeEngine, make_experiment, make_run
 
 import experiments.report
-from experiments.config.schema import Experiment, load_experiment
-from experiments.images import read_exr
-from experiments.runner import run
-from experiments.store import Store
+from experiments.kinds.walkthrough.config import Experiment, load_experiment
+from experiments.kinds.walkthrough.run import run
+from experiments.results.images import read_exr
+from experiments.results.store import Store
 
 CONFIG = """
 kind: walkthrough
@@ -155,7 +155,7 @@ def at_random(kills: int, seed: int, folder: Path) -> list[str]:
 
 def _compile_here(experiment: Experiment, folder: Path) -> None:
     """Loads every kernel into this process, so that children have them; writes no image."""
-    from experiments.engine import WarpEngine
+    from experiments.rendering.engine import WarpEngine
 
     os.environ["WKERNELS_CACHE"] = str(folder / "cache here")
     engine = WarpEngine(experiment, threads=1)

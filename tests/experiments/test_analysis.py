@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from experiments import cli
-from experiments.analysis import STEPS, errors_of
-from experiments.config.analysis import load_analysis
+from experiments.kinds.analysis.config import load_analysis
+from experiments.kinds.analysis.run import STEPS, errors_of
 from wkernels.errors import InputError
 
 PAPERS = Path(__file__).parents[2] / "configs" / "papers"
@@ -134,7 +134,7 @@ def test_every_analysed_figure_has_its_file() -> None:
 def test_slanted_light_and_the_limits_of_the_angle() -> None:
     for angle in (0.0, 1e-3, 0.5, 1.0, 45.0, 179.5, 180.0):
         for warp in ("none", "psm", "lispsm_nopt", "lispsm_nrepar"):
-            from experiments.config.analysis import Curve
+            from experiments.kinds.analysis.config import Curve
 
             curve = Curve("c", warp, None, 4, "log", 0.5, 0.0, 0.0, 1e-3, 1e3, angle)
             errors = errors_of(curve, 60.0)

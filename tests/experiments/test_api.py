@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import experiments
-from algorithms.composition import compose
 from algorithms.plugins import load_all
-from algorithms.projection import FOLDER, fits, stabilisers, warps
+from algorithms.projections.composition import compose
+from algorithms.projections.projection import FOLDER, fits, stabilisers, warps
 from experiments import reference_visibility, render_visibility
 from experiments.scenes import load_scene
 from wkernels.errors import InputError
-from wkernels.frame import Session
-from wkernels.geometry import Geometry
+from wkernels.frame.session import Session
+from wkernels.scene.geometry import Geometry
 
 SIZE: dict[str, Any] = {"width": 40, "height": 30}
 SCENE: dict[str, Any] = {
@@ -180,7 +180,7 @@ def test_projection_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         assert table and all(part.name == name and part.paper for name, part in table.items())
     (tmp_path / "fits").mkdir()
     (tmp_path / "fits" / "absent.py").write_text("", encoding="utf-8")
-    monkeypatch.setattr("algorithms.projection.FOLDER", tmp_path)
+    monkeypatch.setattr("algorithms.projections.projection.FOLDER", tmp_path)
     with pytest.raises(InputError, match=r"absent\.py: cannot be imported"):
         compose()
 

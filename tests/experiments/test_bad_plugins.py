@@ -10,9 +10,9 @@ import pytest
 
 from algorithms.plugins import load_all
 from experiments import cli
-from experiments.config.schema import load_experiment
-from experiments.runner import TechniquesFailed, run
-from experiments.store import Store
+from experiments.kinds.walkthrough.config import load_experiment
+from experiments.kinds.walkthrough.run import TechniquesFailed, run
+from experiments.results.store import Store
 
 PLUGIN = '''\
 """Goes wrong."""

@@ -20,7 +20,7 @@ from experiments.bench.meshes import Mix, camera, spheres_on_terrain
 from experiments.bench.plan import Bench, Sizes
 from experiments.bench.rows import Row, Target, interleaved_medians
 from experiments.commands import bench as command
-from wkernels.views import HostView, eye_view
+from wkernels.scene.views import HostView, eye_view
 
 SMALL = Mix(12, 1, 12, radii=(10.0, 40.0))
 TINY = Sizes(map_side=64, image=(64, 48), frame=(32, 18), mixes=dict.fromkeys(("10k", "250k", "2500k", "soft"), SMALL))

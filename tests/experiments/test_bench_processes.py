@@ -15,7 +15,7 @@ from experiments.bench.cases import run_case
 from experiments.bench.plan import Bench, Sizes
 from experiments.bench.rows import Row
 from experiments.scenes import load_scene
-from wkernels.geometry import Geometry
+from wkernels.scene.geometry import Geometry
 
 MOVING = Path(__file__).parents[2] / "configs" / "scenes" / "moving_blocker.yaml"
 BENCH = Bench(Sizes(scenes={"overlap": load_scene(MOVING)}, memory_frames=3), 1, 1, "not wanted here")

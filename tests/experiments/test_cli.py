@@ -15,7 +15,7 @@ from experiments import cli
 from experiments.commands import readme
 from experiments.commands.doctor import findings
 from experiments.commands.progress import progress_display
-from experiments.images import read_exr
+from experiments.results.images import read_exr
 
 SCENE = """\
 meshes:
@@ -162,7 +162,7 @@ def test_an_interruption_is_status_130_and_says_how_to_go_on(wkernels: Run, monk
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("experiments.runner.run", interrupted)
+    monkeypatch.setattr("experiments.kinds.walkthrough.run.run", interrupted)
     status, _, err = wkernels("run", "e.yaml")
     assert status == 130
     assert "--resume" in err and str(Path("out/e")) in err
@@ -171,7 +171,8 @@ def test_an_interruption_is_status_130_and_says_how_to_go_on(wkernels: Run, monk
 def test_run_hands_its_options_to_the_runner(wkernels: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
     monkeypatch.setattr(
-        "experiments.runner.run", lambda experiment, out, **options: calls.append((experiment, out, options))
+        "experiments.kinds.walkthrough.run.run",
+        lambda experiment, out, **options: calls.append((experiment, out, options)),
     )
     status, out, _ = wkernels(
         "run", "e.yaml", "--out", "results", "--set", "seed=3", "--threads", "2", "--resume", "--no-skips"
@@ -186,12 +187,12 @@ def test_run_hands_its_options_to_the_runner(wkernels: Run, monkeypatch: pytest.
 
 
 def test_failed_techniques_are_status_1(wkernels: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    from experiments.runner import TechniquesFailed
+    from experiments.kinds.walkthrough.run import TechniquesFailed
 
     def failing(*_: object, **__: object) -> None:
         raise TechniquesFailed(Path("out/e"), [{"label": "pcf", "frame": "2", "error": "ValueError: no"}])
 
-    monkeypatch.setattr("experiments.runner.run", failing)
+    monkeypatch.setattr("experiments.kinds.walkthrough.run.run", failing)
     status, _, err = wkernels("run", "e.yaml")
     assert status == 1
     assert "'pcf' failed on frame 2" in err and "defect" not in err
@@ -213,7 +214,7 @@ def test_explain_renders_nothing(wkernels: Run, monkeypatch: pytest.MonkeyPatch)
     def render(*_: object) -> None:
         raise AssertionError("explain rendered")
 
-    monkeypatch.setattr("wkernels.frame.Session.render", render)
+    monkeypatch.setattr("wkernels.frame.session.Session.render", render)
     status, out, _ = wkernels("explain", "e.yaml")
     assert status == 0 and "shadow_map" in out
     assert not Path("out").exists()

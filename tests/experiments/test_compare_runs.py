@@ -13,9 +13,9 @@ from fake_engine import FakeEngine, make_experiment, make_run
 from scipy.stats import binom
 
 from experiments import cli
-from experiments.compare import compare, median_interval
-from experiments.runner import run
-from experiments.store import Store
+from experiments.kinds.walkthrough.run import run
+from experiments.results.compare import compare, median_interval
+from experiments.results.store import Store
 
 Make = Callable[..., Path]
 

@@ -10,11 +10,11 @@ import pytest
 
 from algorithms.technique import Needs, Params, setting
 from experiments.config.needs import is_closed, is_planar, unmet_need
-from experiments.config.schema import Experiment, Reference, load_experiment
-from experiments.metrics import MAP_METRICS
+from experiments.kinds.walkthrough.config import Experiment, Reference, load_experiment
+from experiments.metrics.registry import MAP_METRICS
 from experiments.scenes import load_scene
 from wkernels.errors import InputError
-from wkernels.scene import Mesh
+from wkernels.scene.model import Mesh
 
 SCENE = """\
 meshes:

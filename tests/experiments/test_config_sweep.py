@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from test_config_experiment import PLUGINS, SCENE
 
-from experiments.config.schema import load_experiment
-from experiments.config.sweep import Sweep, load_sweep
-from experiments.sweep.run import explain_sweep
+from experiments.kinds.sweep.config import Sweep, load_sweep
+from experiments.kinds.sweep.run import explain_sweep
+from experiments.kinds.walkthrough.config import load_experiment
 from wkernels.errors import InputError
 
 POINT = SCENE.replace("- {kind: rectangle, center: [0, 4, 0], edge_u: [1, 0, 0], edge_v: [0, 0, 1]}\n", "")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.config.schema import Experiment, load_experiment
+from experiments.kinds.walkthrough.config import Experiment, load_experiment
 from experiments.views.kinds import KINDS
 from wkernels.errors import InputError
 

@@ -18,13 +18,13 @@ from pydantic import BaseModel, Field
 
 from algorithms.technique import Needs
 from experiments import cli
-from experiments.config.convergence import Convergence, Estimates, held, load_convergence
-from experiments.convergence import explain_convergence, measure, run_convergence
-from experiments.estimates import estimate_rows, estimates_text
-from experiments.images import read_exr
-from experiments.report.convergence import fitted_slope, load_convergence_rows, summarise_convergence
-from experiments.runner import TechniquesFailed
-from experiments.store import CONVERGENCE_COLUMNS, ConvergenceStore
+from experiments.kinds.convergence.config import Convergence, Estimates, held, load_convergence
+from experiments.kinds.convergence.estimates import estimate_rows, estimates_text
+from experiments.kinds.convergence.report import fitted_slope, load_convergence_rows, summarise_convergence
+from experiments.kinds.convergence.run import explain_convergence, measure, run_convergence
+from experiments.kinds.walkthrough.run import TechniquesFailed
+from experiments.results.images import read_exr
+from experiments.results.store import CONVERGENCE_COLUMNS, ConvergenceStore
 from wkernels.errors import InputError
 
 SCENE = """\

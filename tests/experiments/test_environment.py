@@ -11,18 +11,18 @@ import pytest
 from fake_engine import FakeEngine, make_experiment
 
 from algorithms.plugins import file_of, find, load_all
-from experiments import environment
-from experiments.analysis import run_analysis
-from experiments.config.analysis import load_analysis
-from experiments.config.convergence import Estimates, load_convergence
-from experiments.config.stability import Stability
-from experiments.convergence import run_convergence
-from experiments.estimates import run_estimates
-from experiments.runner import run
-from experiments.stability import run as stability_run
-from experiments.stability.run import StabilityStore, run_stability
-from experiments.stability.table import COLUMNS
-from experiments.store import Store
+from experiments.kinds.analysis.config import load_analysis
+from experiments.kinds.analysis.run import run_analysis
+from experiments.kinds.convergence.config import Estimates, load_convergence
+from experiments.kinds.convergence.estimates import run_estimates
+from experiments.kinds.convergence.run import run_convergence
+from experiments.kinds.stability import run as stability_run
+from experiments.kinds.stability.config import Stability
+from experiments.kinds.stability.run import StabilityStore, run_stability
+from experiments.kinds.stability.table import COLUMNS
+from experiments.kinds.walkthrough.run import run
+from experiments.results import environment
+from experiments.results.store import Store
 from wkernels.errors import InputError
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -93,7 +93,7 @@ def test_the_commit_and_whether_files_differ_from_it(tmp_path: Path, monkeypatch
         )
         return done.stdout.strip()
 
-    monkeypatch.setattr(environment, "__file__", str(tmp_path / "experiments" / "environment.py"))
+    monkeypatch.setattr(environment, "__file__", str(tmp_path / "experiments" / "results" / "environment.py"))
     assert environment.git_commit() is None
     git("init", "-q")
     (tmp_path / "a").write_text("1")
@@ -106,7 +106,12 @@ def test_the_commit_and_whether_files_differ_from_it(tmp_path: Path, monkeypatch
 
 
 def test_the_code_that_techniques_share_has_a_digest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    names = ("wkernels/rays.py", "algorithms/projection.py", "algorithms/projections/fits/a.py", "algorithms/hard/x.py")
+    names = (
+        "wkernels/rays/single_rays.py",
+        "algorithms/projections/projection.py",
+        "algorithms/projections/fits/a.py",
+        "algorithms/hard/x.py",
+    )
     for name in names:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("1")

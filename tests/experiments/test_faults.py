@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from fake_engine import FakeEngine, make_experiment, make_run
 
-from experiments import images
-from experiments.images import read_exr, write_exr, write_jpeg, write_png
-from experiments.runner import TechniquesFailed, run
-from experiments.store import Store
-from experiments.tables import Table, read_table, write_text
+from experiments.kinds.walkthrough.run import TechniquesFailed, run
+from experiments.results import images
+from experiments.results.images import read_exr, write_exr, write_jpeg, write_png
+from experiments.results.store import Store
+from experiments.results.tables import Table, read_table, write_text
 from wkernels.errors import InputError
 
 

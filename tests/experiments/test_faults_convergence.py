@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from test_convergence import TEXT, Engine, Load, load, run
 
-from experiments import convergence
-from experiments.images import read_exr
-from experiments.runner import TechniquesFailed
-from experiments.store import ConvergenceStore
+from experiments.kinds.convergence import run as convergence
+from experiments.kinds.walkthrough.run import TechniquesFailed
+from experiments.results.images import read_exr
+from experiments.results.store import ConvergenceStore
 from wkernels.errors import InputError
 
 assert load  # the fixture

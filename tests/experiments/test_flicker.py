@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 import small_scenes
 
-from algorithms.composition import compose
 from algorithms.plugins import load_all
-from experiments.carry_over import carry_over
-from experiments.metrics import Measured, beside_hard_edge, evaluate
-from wkernels.frame import Session
-from wkernels.geometry import Geometry
-from wkernels.lights import DirectionalLight
-from wkernels.scene import Camera, Scene
-from wkernels.views import eye_view
+from algorithms.projections.composition import compose
+from experiments.metrics.carry_over import carry_over
+from experiments.metrics.registry import Measured, beside_hard_edge, evaluate
+from wkernels.frame.session import Session
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.lights import DirectionalLight
+from wkernels.scene.model import Camera, Scene
+from wkernels.scene.views import eye_view
 
 WIDTH, HEIGHT, FRAMES = 192, 108, 8
 AT_LEAST = 5.0

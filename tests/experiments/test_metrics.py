@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from fake_engine import HEIGHT, WIDTH, camera, floor_positions, true_visibility
 
-from experiments.carry_over import carry_over, disoccluded
-from experiments.metrics import METRICS, Measured, distinguishable, evaluate, flip_map
-from wkernels.light_maps.sampling_rate import MapUse, SamplingRate
-from wkernels.views import eye_view
+from experiments.metrics.carry_over import carry_over, disoccluded
+from experiments.metrics.registry import METRICS, Measured, distinguishable, evaluate, flip_map
+from wkernels.analysis.sampling_rate import MapUse, SamplingRate
+from wkernels.scene.views import eye_view
 
 EVERY = frozenset(METRICS)
 

@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from algorithms.plugins import load_all
-from experiments.config.analysis import load_analysis
-from experiments.config.convergence import Convergence, Estimates, load_convergence
 from experiments.config.kinds import kind_of
-from experiments.config.savings import load_savings
-from experiments.config.schema import Experiment, load_experiment
-from experiments.config.stability import load_stability
-from experiments.config.sweep import load_sweep
+from experiments.kinds.analysis.config import load_analysis
+from experiments.kinds.convergence.config import Convergence, Estimates, load_convergence
+from experiments.kinds.savings.config import load_savings
+from experiments.kinds.stability.config import load_stability
+from experiments.kinds.sweep.config import load_sweep
+from experiments.kinds.walkthrough.config import Experiment, load_experiment
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 FILES = sorted([*CONFIGS.glob("papers/*.yaml"), *CONFIGS.glob("experiments/*.yaml")])

@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.store import FRAME_COLUMNS
-from experiments.summary import pareto_front, summarise
-from experiments.sweep.equal import equal_error, equal_time
-from experiments.sweep.overall import overall_rows
-from experiments.sweep.pareto import WITHIN, SceneResults, errors_differ, scene_rows
-from experiments.sweep.recommend import recommend, recommend_overall, weaknesses
+from experiments.kinds.sweep.equal import equal_error, equal_time
+from experiments.kinds.sweep.overall import overall_rows
+from experiments.kinds.sweep.pareto import WITHIN, SceneResults, errors_differ, scene_rows
+from experiments.kinds.sweep.recommend import recommend, recommend_overall, weaknesses
+from experiments.results.store import FRAME_COLUMNS
+from experiments.results.summary import pareto_front, summarise
 
 FRAMES = 12
 

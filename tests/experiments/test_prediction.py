@@ -11,11 +11,19 @@ import pytest
 from fake_engine import FakeEngine, make_experiment
 from scipy import stats
 
-from experiments.metrics import MAP_METRICS
-from experiments.prediction import ALL, PREDICTORS, WITHIN_FRAMES, Correlation, correlations, spearman, write_prediction
+from experiments.kinds.walkthrough.run import run
+from experiments.metrics.registry import MAP_METRICS
 from experiments.report.prediction import scatter
 from experiments.report.style import Look
-from experiments.runner import run
+from experiments.results.prediction import (
+    ALL,
+    PREDICTORS,
+    WITHIN_FRAMES,
+    Correlation,
+    correlations,
+    spearman,
+    write_prediction,
+)
 
 
 def table(**columns: list[float]) -> pd.DataFrame:

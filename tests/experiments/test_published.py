@@ -9,11 +9,11 @@ import pandas as pd
 import pytest
 from fake_engine import FakeEngine, make_experiment, make_run
 
-from experiments.analysis import run_analysis
-from experiments.config.analysis import load_analysis
-from experiments.config.schema import load_experiment
-from experiments.published import compare_published, published_text, read_published
-from experiments.runner import run
+from experiments.kinds.analysis.config import load_analysis
+from experiments.kinds.analysis.run import run_analysis
+from experiments.kinds.walkthrough.config import load_experiment
+from experiments.kinds.walkthrough.run import run
+from experiments.results.published import compare_published, published_text, read_published
 from wkernels.errors import InputError
 
 PAPERS = Path(__file__).parents[2] / "configs" / "papers"

@@ -16,9 +16,9 @@ from fake_engine import FakeEngine, make_experiment, make_run
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from experiments import metrics, summary
-from experiments.explain import explain
-from experiments.images import read_exr, write_exr
+from experiments.kinds.walkthrough.explain import explain
+from experiments.kinds.walkthrough.run import TechniquesFailed, run
+from experiments.metrics import registry as metrics
 from experiments.report import recompute_metrics, write_report
 from experiments.report.fields import LEVELS, decode, encode, evenly, field_frames
 from experiments.report.labels import place_labels
@@ -26,8 +26,9 @@ from experiments.report.pictures import picture_frames
 from experiments.report.plots import error_vs_time, per_frame
 from experiments.report.style import Look
 from experiments.report.write import headline, number
-from experiments.runner import TechniquesFailed, run
-from experiments.store import Store
+from experiments.results import summary
+from experiments.results.images import read_exr, write_exr
+from experiments.results.store import Store
 from wkernels.errors import InputError
 
 

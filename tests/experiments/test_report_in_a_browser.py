@@ -15,11 +15,11 @@ import pytest
 from fake_engine import HEIGHT, WIDTH, FakeEngine, make_experiment
 from matplotlib.image import imread
 
-from experiments.images import read_exr
-from experiments.report.stability import write_stability_report
-from experiments.report.sweep import write_sweep_report
-from experiments.runner import run
-from experiments.store import Store
+from experiments.kinds.stability.report import write_stability_report
+from experiments.kinds.sweep.report import write_sweep_report
+from experiments.kinds.walkthrough.run import run
+from experiments.results.images import read_exr
+from experiments.results.store import Store
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: it is in the extra 'dev'")
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -292,7 +292,7 @@ def test_the_border_between_before_and_after_moves_by_key_and_pointer(visit: Vis
 
 
 def test_the_error_map_has_the_colours_of_its_scale(visit: Visit, folder: Path) -> None:
-    from experiments.images import error_colors
+    from experiments.results.images import error_colors
 
     visit.viewer()
     visit.page.click('.thumb[data-label="cheap"]')

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.config.schema import Experiment, load_experiment
-from experiments.explain import explain
-from experiments.images import read_exr
-from experiments.runner import run
-from experiments.store import FRAME_COLUMNS, Store
+from experiments.kinds.walkthrough.config import Experiment, load_experiment
+from experiments.kinds.walkthrough.explain import explain
+from experiments.kinds.walkthrough.run import run
+from experiments.results.images import read_exr
+from experiments.results.store import FRAME_COLUMNS, Store
 from wkernels.errors import InputError
 
 SCENE = """

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from fake_engine import HEIGHT, WIDTH, FakeEngine, make_experiment, make_run, true_visibility
 
-from experiments import metrics
-from experiments.config.schema import Experiment
-from experiments.images import read_exr
-from experiments.lanes import Timing, pass_medians, timing_columns
-from experiments.runner import TechniquesFailed, run
-from experiments.store import FRAME_COLUMNS, TABLES, Store
+from experiments.kinds.walkthrough.config import Experiment
+from experiments.kinds.walkthrough.label_run import Timing, pass_medians, timing_columns
+from experiments.kinds.walkthrough.run import TechniquesFailed, run
+from experiments.metrics import registry as metrics
+from experiments.results.images import read_exr
+from experiments.results.store import FRAME_COLUMNS, TABLES, Store
 from wkernels.errors import InputError
 
 
@@ -239,7 +239,7 @@ def test_a_killed_process_resumes_to_the_same_rows(tmp_path: Path) -> None:
         import os, signal, sys
         sys.path.insert(0, {str(Path(__file__).parent)!r})
         from fake_engine import FakeEngine, make_experiment
-        from experiments.runner import run
+        from experiments.kinds.walkthrough.run import run
 
         count = 0
 

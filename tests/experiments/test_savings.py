@@ -11,22 +11,22 @@ import pytest
 import small_scenes
 
 from algorithms.plugins import load_all
-from experiments import savings as measured
 from experiments.commands.run import explain_experiment
-from experiments.config.savings import Savings, load_savings
-from experiments.config.schema import Experiment, load_experiment
-from experiments.engine import WarpEngine
-from experiments.explain import explain
-from experiments.foreseen import own_omissions, skip_lines
-from experiments.report.savings import write_savings_report
-from experiments.runner import TechniquesFailed
-from experiments.savings import COLUMNS, EVERYTHING, run_savings, savings_text
-from experiments.tables import read_table
+from experiments.kinds.savings import run as measured
+from experiments.kinds.savings.config import Savings, load_savings
+from experiments.kinds.savings.report import write_savings_report
+from experiments.kinds.savings.run import COLUMNS, EVERYTHING, run_savings, savings_text
+from experiments.kinds.walkthrough.config import Experiment, load_experiment
+from experiments.kinds.walkthrough.explain import explain
+from experiments.kinds.walkthrough.foreseen import own_omissions, skip_lines
+from experiments.kinds.walkthrough.run import TechniquesFailed
+from experiments.rendering.engine import WarpEngine
+from experiments.results.tables import read_table
 from wkernels.errors import InputError
-from wkernels.frame import Session
-from wkernels.geometry import Geometry
-from wkernels.products import UNASKED, UNCHANGED
-from wkernels.scene import Scene
+from wkernels.frame.session import Session
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.model import Scene
+from wkernels.workspace.products import UNASKED, UNCHANGED
 
 SCENES = Path(__file__).parents[2] / "configs" / "scenes"
 PLUGINS = load_all()

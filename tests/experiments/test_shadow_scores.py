@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.measured import Measured
-from experiments.metrics import METRICS, SCORES, evaluate, outdated
+from experiments.metrics.measured import Measured
+from experiments.metrics.registry import METRICS, SCORES, evaluate, outdated
+from experiments.metrics.shadow_classes import DEEP_PX, classify
 from experiments.scenes import load_scene
 from experiments.scenes.analytic import a1_half_plane
-from experiments.shadow_classes import DEEP_PX, classify
 
 ROWS, COLUMNS, EDGE = 60, 300, 150.0
 WIDTH = 24
@@ -160,7 +160,7 @@ def test_widths_of_the_analytic_half_plane(light_size: float) -> None:
 
 def floor_positions(width: int = 240, height: int = 160) -> np.ndarray:
     """World positions of y = 0 under the camera of A1, float64 (H, W, 3)."""
-    from wkernels.views import eye_view
+    from wkernels.scene.views import eye_view
 
     view = eye_view(load_scene(SCENE).camera(0), width, height, np.zeros(3))
     left, right, bottom, top = view.window

@@ -12,14 +12,14 @@ import warp as wp
 
 from algorithms.plugins import load_all
 from algorithms.technique import Technique
-from experiments.config.stability import Stability, load_stability
-from experiments.stability.cases import CASES
-from experiments.stability.judge import Truth, judge
-from experiments.stability.run import explain_stability, run_stability, summary_text
-from experiments.stability.table import COLUMNS, Stage, breaking_points, concerned, examine
-from experiments.tables import read_table
+from experiments.kinds.stability.cases import CASES
+from experiments.kinds.stability.config import Stability, load_stability
+from experiments.kinds.stability.judge import Truth, judge
+from experiments.kinds.stability.run import explain_stability, run_stability, summary_text
+from experiments.kinds.stability.table import COLUMNS, Stage, breaking_points, concerned, examine
+from experiments.results.tables import read_table
 from wkernels.errors import InputError
-from wkernels.frame import Session
+from wkernels.frame.session import Session
 
 NO_SHADOW = {("light_place", "behind the receiver"), ("emptiness", "no casters")}
 NO_RECEIVER = {("emptiness", what) for what in ("no receivers", "nothing", "all behind the eye")}

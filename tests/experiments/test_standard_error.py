@@ -10,10 +10,10 @@ import pytest
 
 from algorithms.plugins import file_of, load_all
 from experiments.commands.coverage import coverage_table, main
-from experiments.config.convergence import Convergence, load_convergence
-from experiments.convergence import run_convergence
-from experiments.report.convergence import load_convergence_rows
-from experiments.store import ConvergenceStore
+from experiments.kinds.convergence.config import Convergence, load_convergence
+from experiments.kinds.convergence.report import load_convergence_rows
+from experiments.kinds.convergence.run import run_convergence
+from experiments.results.store import ConvergenceStore
 
 CONFIG = Path(__file__).parents[2] / "configs" / "experiments" / "standard_error.yaml"
 SMALL = ["image={width: 40, height: 30}", "reference={samples: 2048, every: 63}", "steps=[64]"]

@@ -9,9 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.images import error_view, read_exr, read_png, shaded_view, visibility_view, write_exr, write_png
-from experiments.store import FRAME_COLUMNS, TABLES, Store, image_folder
-from experiments.tables import Table, cell, read_table
+from experiments.results.images import (
+    error_view,
+    read_exr,
+    read_png,
+    shaded_view,
+    visibility_view,
+    write_exr,
+    write_png,
+)
+from experiments.results.store import FRAME_COLUMNS, TABLES, Store, image_folder
+from experiments.results.tables import Table, cell, read_table
 from wkernels.errors import InputError
 
 CONFIG = "kind: walkthrough\n"

@@ -18,13 +18,13 @@ import pytest
 from fake_engine import PLUGINS, FakeEngine, make_experiment, make_run
 
 from experiments import cli
-from experiments.config.schema import Experiment
-from experiments.config.sweep import Sweep, SweepFile, SweepScene
-from experiments.report.sweep import write_sweep_report
-from experiments.store import TABLES, Store
-from experiments.sweep.agreement import agree
-from experiments.sweep.run import SweepFailed, run_sweep
-from experiments.sweep.store import SweepStore, is_sweep
+from experiments.kinds.sweep.agreement import agree
+from experiments.kinds.sweep.config import Sweep, SweepFile, SweepScene
+from experiments.kinds.sweep.report import write_sweep_report
+from experiments.kinds.sweep.run import SweepFailed, run_sweep
+from experiments.kinds.sweep.store import SweepStore, is_sweep
+from experiments.kinds.walkthrough.config import Experiment
+from experiments.results.store import TABLES, Store
 from wkernels.errors import InputError
 
 FILE = {"kind": "sweep", "image": {"width": 24, "height": 16}, "scene": "x", "techniques": "all"}

@@ -13,8 +13,8 @@ from experiments.views.lines import clip_segment, draw_lines, project, to_pixels
 from experiments.views.sheet import Bar, Chips, Panel, Sheet, composed, wrapped
 from experiments.views.space import _smaller
 from experiments.views.texels import STOP_COLORS, STOPS, grid_lines, rate_colors, sampling_rate
-from wkernels.clipping import ConvexBody, box_polyhedron, convex_hull
-from wkernels.views import HostView, eye_view
+from wkernels.projections.clipping import ConvexBody, box_polyhedron, convex_hull
+from wkernels.scene.views import HostView, eye_view
 
 RED = (1.0, 0.0, 0.0)
 

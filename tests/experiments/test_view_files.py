@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from view_subjects import BOX, HEAD, write_configs
 
-from experiments.config.schema import load_experiment
-from experiments.explain import explain
-from experiments.images import read_exr, read_png
-from experiments.runner import run
-from experiments.store import Store
+from experiments.kinds.walkthrough.config import load_experiment
+from experiments.kinds.walkthrough.explain import explain
+from experiments.kinds.walkthrough.run import run
+from experiments.results.images import read_exr, read_png
+from experiments.results.store import Store
 from experiments.views import render
 from experiments.views.kinds import KINDS, kind_of, picture_names
 from experiments.views.subject import Subject

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial import Delaunay
 from view_subjects import make, write_configs
 
-from experiments.images import ERROR_SCALE, error_view
+from experiments.results.images import ERROR_SCALE, error_view
 from experiments.views import error_plot, light_maps, render, space, surfaces
 from experiments.views.bodies import edges
 from experiments.views.lines import project, to_pixels

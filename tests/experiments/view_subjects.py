@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.config.schema import load_experiment
-from experiments.engine import WarpEngine
+from experiments.kinds.walkthrough.config import load_experiment
+from experiments.rendering.engine import WarpEngine
 from experiments.views.subject import Subject
 
 HEAD = """

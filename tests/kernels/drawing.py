@@ -7,7 +7,7 @@ import small_scenes
 import warp as wp
 
 from wkernels.raster import CULL_NONE, Rasteriser
-from wkernels.views import HostView, View
+from wkernels.scene.views import HostView, View
 
 SUB = 256  # positions within a pixel that vertices snap to
 

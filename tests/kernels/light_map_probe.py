@@ -6,9 +6,8 @@ import numpy as np
 import small_scenes
 import warp as wp
 
-from wkernels.frame import Session
-from wkernels.geometry import Geometry
-from wkernels.launch import launch
+from wkernels.device.launch import launch
+from wkernels.frame.session import Session
 from wkernels.light_maps.light_map import (
     Bias,
     LightMap,
@@ -21,10 +20,11 @@ from wkernels.light_maps.light_map import (
     stored_depth,
     texels_per_length,
 )
-from wkernels.light_views import scene_views
-from wkernels.lights import DirectionalLight, PointLight
-from wkernels.scene import Mesh
-from wkernels.views import HostView
+from wkernels.projections.light_views import scene_views
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.lights import DirectionalLight, PointLight
+from wkernels.scene.model import Mesh
+from wkernels.scene.views import HostView
 
 LIGHTS = {
     "directional": DirectionalLight(direction=np.array([0.3, -1.0, 0.2])),

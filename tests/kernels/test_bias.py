@@ -8,10 +8,10 @@ import small_scenes
 import warp as wp
 from light_map_probe import compare, locate_all, make_bias, make_session, upload
 
-from wkernels.launch import launch
+from wkernels.device.launch import launch
 from wkernels.light_maps.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL, BIAS_SLOPE, Bias
-from wkernels.lights import DirectionalLight, PointLight
-from wkernels.scene import Mesh
+from wkernels.scene.lights import DirectionalLight, PointLight
+from wkernels.scene.model import Mesh
 
 TILTS = [(0.0, 0.0), (15.0, 40.0), (40.0, 0.0), (60.0, 77.0), (75.0, 200.0), (84.0, 110.0)]
 

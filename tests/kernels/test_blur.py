@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from wkernels.blur import box_weights, gaussian_weights, separable_blur
+from wkernels.filters.blur import box_weights, gaussian_weights, separable_blur
 
 DTYPES = {2: wp.vec2, 4: wp.vec4}
 

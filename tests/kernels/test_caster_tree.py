@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from wkernels.caster_tree import CasterTreeBuilder, spatial_order
+from wkernels.rays.caster_tree import CasterTreeBuilder, spatial_order
 
 
 def soup(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -6,10 +6,10 @@ import warp as wp
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-from wkernels import clipping
-from wkernels.clipping import ConvexBody, HomogeneousPolygon, box_polyhedron, clip_polyhedron, convex_hull
-from wkernels.launch import launch
-from wkernels.views import HostView
+from wkernels.device.launch import launch
+from wkernels.projections import clipping
+from wkernels.projections.clipping import ConvexBody, HomogeneousPolygon, box_polyhedron, clip_polyhedron, convex_hull
+from wkernels.scene.views import HostView
 
 UNIT_CUBE = box_polyhedron(np.zeros(3), np.ones(3))
 

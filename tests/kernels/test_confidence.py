@@ -7,10 +7,10 @@ import pytest
 import warp as wp
 from compare import assert_twin
 
-from wkernels.launch import launch
-from wkernels.light_maps.jitter import frame_jitter
+from wkernels.device.launch import launch
 from wkernels.light_maps.light_map import BIAS_SLOPE, Bias, Receiver
-from wkernels.temporal.confidence import (
+from wkernels.projections.jitter import frame_jitter
+from wkernels.temporal.confidence.blending import (
     Blending,
     blend_shares,
     chosen_power,

@@ -7,12 +7,12 @@ import pytest
 import small_scenes
 import warp as wp
 
-from wkernels.frame import Session
-from wkernels.geometry import CASTS, RECEIVES, Bounds, Geometry
-from wkernels.light_maps.empty_maps import UNCOMPARED, UNDRAWN, light_front, may_see, nothing_hides
+from wkernels.frame.empty_maps import UNCOMPARED, UNDRAWN, light_front, may_see, nothing_hides
+from wkernels.frame.session import Session
 from wkernels.light_maps.light_map import depths_on_host
-from wkernels.light_views import scene_views
-from wkernels.scene import Scene
+from wkernels.projections.light_views import scene_views
+from wkernels.scene.geometry import CASTS, RECEIVES, Bounds, Geometry
+from wkernels.scene.model import Scene
 
 
 def scene_with_box(centre: tuple[float, float, float], kind: str = "point") -> Scene:

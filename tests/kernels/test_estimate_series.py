@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wkernels.temporal.estimate_series import estimates_of
+from wkernels.analysis.estimate_series import estimates_of
 
 
 def test_series_against_the_formulas(device: str) -> None:

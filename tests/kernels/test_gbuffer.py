@@ -9,10 +9,10 @@ import pytest
 import small_scenes
 from compare import assert_twin
 
-from wkernels.frame import Session
-from wkernels.gbuffer import GBuffer
-from wkernels.geometry import CASTS, MOVES, RECEIVES, Geometry
-from wkernels.scene import Scene
+from wkernels.frame.session import Session
+from wkernels.raster.gbuffer import GBuffer
+from wkernels.scene.geometry import CASTS, MOVES, RECEIVES, Geometry
+from wkernels.scene.model import Scene
 
 WIDTH, HEIGHT = 64, 48
 

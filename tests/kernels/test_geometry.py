@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import small_scenes
 
-from wkernels.geometry import Geometry
+from wkernels.scene.geometry import Geometry
 
 
 @pytest.mark.parametrize("broken", [np.nan, np.inf, -np.inf])

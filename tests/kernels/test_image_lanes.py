@@ -7,15 +7,16 @@ import pytest
 import small_scenes as small
 import warp as wp
 
-from wkernels import blur, filtering, shading
-from wkernels.filtering import pull_footprint
-from wkernels.frame import Session
-from wkernels.geometry import Geometry
-from wkernels.lanes import LANES, Floats, Ints, Vectors, flat_floats, runs_of
-from wkernels.light_maps import light_map_drawing
+from wkernels.device.lanes import LANES, Floats, Ints, Vectors, flat_floats, runs_of
+from wkernels.filters import blur
+from wkernels.filters import penumbra as filtering
+from wkernels.filters.penumbra import pull_footprint
+from wkernels.frame.session import Session, shading
+from wkernels.light_maps import drawing as light_map_drawing
 from wkernels.light_maps.light_map import depths_on_host
-from wkernels.lights import SphereLight
-from wkernels.scene import Scene
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.lights import SphereLight
+from wkernels.scene.model import Scene
 
 INSIDE = SphereLight(center=np.array([0.2, 3.2, 1.5]), radius=0.2)  # six faces
 

@@ -8,15 +8,15 @@ import small_scenes as small
 import warp as wp
 
 import wkernels.irregular as irregular
-from wkernels.frame import Session
-from wkernels.geometry import CASTS, RECEIVES, Geometry
+from wkernels.device.lanes import uses_lanes
+from wkernels.device.launch import launch
+from wkernels.frame.session import Session
 from wkernels.irregular.casters import NO_ROWS, count_bands, list_bands
 from wkernels.irregular.grid import LightFace, fit_grid, light_faces
 from wkernels.irregular.samples import PAD, Places, count_before, count_rows, list_rows, sort_rows
-from wkernels.lanes import uses_lanes
-from wkernels.launch import launch
-from wkernels.light_views import scene_views
-from wkernels.lights import Light, PointLight
+from wkernels.projections.light_views import scene_views
+from wkernels.scene.geometry import CASTS, RECEIVES, Geometry
+from wkernels.scene.lights import Light, PointLight
 
 LIGHTS: dict[str, Light] = {
     "directional": small.light("directional"),

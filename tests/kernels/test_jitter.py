@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import small_scenes as small
 
-from algorithms.composition import compose
-from wkernels.frame import Session
-from wkernels.geometry import Geometry
-from wkernels.light_maps.jitter import Jitter, frame_jitter, jittered_view
-from wkernels.light_views import scene_views
-from wkernels.lights import DirectionalLight, PointLight
-from wkernels.views import HostView
+from algorithms.projections.composition import compose
+from wkernels.frame.session import Session
+from wkernels.projections.jitter import Jitter, frame_jitter, jittered_view
+from wkernels.projections.light_views import scene_views
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.lights import DirectionalLight, PointLight
+from wkernels.scene.views import HostView
 
 TEXELS = 64
 LIGHTS = {

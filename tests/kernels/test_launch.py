@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from wkernels import launch as launching
-from wkernels.launch import default_threads, launch
+from wkernels.device import launch as launching
+from wkernels.device.launch import default_threads, launch
 
 
 @wp.kernel

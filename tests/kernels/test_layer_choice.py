@@ -10,12 +10,12 @@ import small_scenes
 import warp as wp
 from light_map_probe import LIGHTS, host_locate, locate_all
 
-from wkernels.focusing import fitted_view, light_space
-from wkernels.frame import Session
-from wkernels.geometry import Bounds, Geometry
-from wkernels.launch import launch
+from wkernels.device.launch import launch
+from wkernels.frame.session import Session
 from wkernels.light_maps.light_map import FILTER_TEXELS
-from wkernels.views import HostView, LayerChoice
+from wkernels.projections.focusing import fitted_view, light_space
+from wkernels.scene.geometry import Bounds, Geometry
+from wkernels.scene.views import HostView, LayerChoice
 
 R = 64
 ENDS = (10.0, 13.0, np.inf)

@@ -7,13 +7,12 @@ import pytest
 import small_scenes
 import warp as wp
 
-from wkernels import near_plane
-from wkernels.frame import Session
-from wkernels.geometry import Geometry
-from wkernels.lanes import uses_lanes
+from wkernels.device.lanes import uses_lanes
+from wkernels.frame.near_plane import least_depth
+from wkernels.frame.session import Session, near_plane
 from wkernels.light_maps import depth_clamp
 from wkernels.light_maps.depth_clamp import clamp_casters
-from wkernels.near_plane import least_depth
+from wkernels.scene.geometry import Geometry
 
 SIZES = [(1, 1), (1, 5), (7, 3), (3, 15), (4, 16), (5, 17), (33, 31), (64, 48), (45, 129)]
 

@@ -10,11 +10,13 @@ import small_scenes as small
 import warp as wp
 
 from algorithms.plugins import find
-from wkernels.frame import Session
-from wkernels.gbuffer import GBuffer, is_back_lit
-from wkernels.geometry import RECEIVES, Geometry
-from wkernels.launch import launch
-from wkernels.light_importance import (
+from wkernels.device.launch import launch
+from wkernels.frame.session import Session
+from wkernels.light_maps.light_map import Bias, LightMap, compare_nearest, locate_receiver
+from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
+from wkernels.sampling.point_sets import light_set
+from wkernels.scene.geometry import RECEIVES, Geometry
+from wkernels.temporal.light_importance import (
     MEMORY,
     PROBES,
     SIDE,
@@ -24,8 +26,6 @@ from wkernels.light_importance import (
     pull_importance,
     warp_point,
 )
-from wkernels.light_maps.light_map import Bias, LightMap, compare_nearest, locate_receiver, to_light
-from wkernels.sampling import light_set
 
 
 def skewed() -> np.ndarray:

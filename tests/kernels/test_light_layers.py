@@ -6,9 +6,9 @@ import numpy as np
 import small_scenes
 from light_map_probe import host_locate
 
-from wkernels.frame import Session
-from wkernels.geometry import RECEIVES, Geometry
-from wkernels.light_maps.light_layers import chosen_layers
+from wkernels.analysis.light_layers import chosen_layers
+from wkernels.frame.session import Session
+from wkernels.scene.geometry import RECEIVES, Geometry
 
 
 def test_every_pixel_has_the_layer_that_holds_it_most_centrally(device: str) -> None:

@@ -11,10 +11,10 @@ import warp as wp
 from compare import assert_twin
 from light_map_probe import LIGHTS, cluttered_session, compare, host_locate, locate_all, make_bias, planes_all, upload
 
-from wkernels.frame import Session
-from wkernels.geometry import Geometry
-from wkernels.launch import launch
+from wkernels.device.launch import launch
+from wkernels.frame.session import Session
 from wkernels.light_maps.light_map import BIAS_SLOPE, depths_on_host
+from wkernels.scene.geometry import Geometry
 
 
 @pytest.mark.parametrize("kind", LIGHTS)

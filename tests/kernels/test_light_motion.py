@@ -13,13 +13,13 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
 from algorithms.plugins import find
-from wkernels.frame import Session
-from wkernels.geometry import Geometry
-from wkernels.launch import launch
-from wkernels.light_motion import BALANCE, ageing_window, displacement, light_at, transformed
-from wkernels.lights import LIGHT_KINDS, PointLight
-from wkernels.scene import Scene
-from wkernels.temporal.estimators import add_test, age_sums, standard_error
+from wkernels.device.launch import launch
+from wkernels.frame.session import Session
+from wkernels.sampling.estimators import add_test, age_sums, standard_error
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.light_motion import BALANCE, ageing_window, displacement, light_at, transformed
+from wkernels.scene.lights import LIGHT_KINDS, PointLight
+from wkernels.scene.model import Scene
 
 KINDS = sorted(LIGHT_KINDS)
 CENTRE, SIZE = (1.0, 8.0, -2.0), 1.6

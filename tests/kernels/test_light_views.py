@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from wkernels.geometry import Bounds
-from wkernels.light_views import FACE_TANGENT, MAX_TANGENT, perspective_aliasing, scene_views
-from wkernels.views import HostView
+from wkernels.projections.light_views import FACE_TANGENT, MAX_TANGENT, perspective_aliasing, scene_views
+from wkernels.scene.geometry import Bounds
+from wkernels.scene.views import HostView
 
 
 def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> Bounds:

@@ -6,8 +6,16 @@ from scipy.stats import kstest
 from small_scenes import light
 
 from wkernels.errors import InputError
-from wkernels.lights import LIGHT_KINDS, DiscLight, Light, LinearLight, PolygonLight, RectangleLight, orthonormal_frame
-from wkernels.sampling import light_set
+from wkernels.sampling.point_sets import light_set
+from wkernels.scene.lights import (
+    LIGHT_KINDS,
+    DiscLight,
+    Light,
+    LinearLight,
+    PolygonLight,
+    RectangleLight,
+    orthonormal_frame,
+)
 
 KINDS = sorted(LIGHT_KINDS)
 CENTRE, SIZE = (1.0, 8.0, -2.0), 1.6

@@ -9,15 +9,15 @@ import pytest
 import small_scenes as small
 import warp as wp
 
-from algorithms.composition import compose
 from algorithms.plugins import find
+from algorithms.projections.composition import compose
 from wkernels.errors import InputError
-from wkernels.frame import Session
-from wkernels.geometry import Geometry
+from wkernels.frame.session import Session
 from wkernels.light_maps.light_map import depths_on_host, layout_of
-from wkernels.light_maps.map_storage import PAGE, PLACES, allocate, lay_out, layer_images, layers_on_host
-from wkernels.lights import Light, SphereLight
+from wkernels.light_maps.storage import PAGE, PLACES, allocate, lay_out, layer_images, layers_on_host
 from wkernels.raster import Rasteriser
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.lights import Light, SphereLight
 
 SPLIT = {"fit": "focused", "splits": 4, "scheme": "log"}
 SUN, LAMP = small.light("directional"), small.light("rectangle")

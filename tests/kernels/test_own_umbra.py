@@ -10,16 +10,16 @@ import small_scenes as small
 import warp as wp
 
 from algorithms.plugins import find
-from wkernels.frame import Session
-from wkernels.gbuffer import PADDING, GBuffer
-from wkernels.geometry import CASTS, RECEIVES, Geometry
-from wkernels.lanes import LANES, Floats, runs_of, runs_per_row, uses_lanes
-from wkernels.launch import launch
+from wkernels.device.lanes import LANES, Floats, runs_of, runs_per_row, uses_lanes
+from wkernels.device.launch import launch
+from wkernels.frame.session import Session
 from wkernels.light_maps.receiver_lanes import LaneViews, lane_views
-from wkernels.lights import Light, SphereLight
-from wkernels.scene import Camera
+from wkernels.raster.gbuffer import PADDING, GBuffer
+from wkernels.scene.geometry import CASTS, RECEIVES, Geometry
+from wkernels.scene.lights import Light, SphereLight
+from wkernels.scene.model import Camera
 from wkernels.temporal.history_lanes import points_of_run
-from wkernels.temporal.own_umbra import is_own_umbra, own_umbra_run, pull_light_corners
+from wkernels.temporal.shadow_buffer.own_umbra import is_own_umbra, own_umbra_run, pull_light_corners
 
 LIGHTS: dict[str, Light] = {
     "rectangle": small.light("rectangle", (3.0, 6.0, 2.0)),

@@ -10,7 +10,7 @@ from drawing import SUB, draw, flat_view, from_pixels, grid, pixel_owner_counts,
 from scipy.spatial import Delaunay
 
 from wkernels.raster import CULL_BACK, CULL_FRONT, Rasteriser
-from wkernels.views import eye_view
+from wkernels.scene.views import eye_view
 
 EXACT_SIZES = [(64, 32), (32, 64), (1, 1), (4, 128), (128, 2)]  # powers of two: projection is exact in float32
 

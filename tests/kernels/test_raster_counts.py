@@ -11,7 +11,7 @@ from test_raster_lanes import triangle_soup, view_of
 
 from wkernels.errors import InputError
 from wkernels.raster import COUNT_ALL, COUNT_FARTHER, COUNT_NEARER, Rasteriser
-from wkernels.views import HostView, eye_view
+from wkernels.scene.views import HostView, eye_view
 
 
 def count(

@@ -7,7 +7,7 @@ import pytest
 import small_scenes
 from drawing import assert_depth_equals_rays, draw, grid, pixel_owner_counts, pixel_rays
 
-from wkernels.views import HostView, eye_view
+from wkernels.scene.views import HostView, eye_view
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -9,7 +9,7 @@ from drawing import draw
 
 from wkernels.raster import CULL_BACK, CULL_FRONT, CULL_NONE, Rasteriser
 from wkernels.raster.lanes import depth_key
-from wkernels.views import HostView, View
+from wkernels.scene.views import HostView, View
 
 FORWARD, RIGHT, UP = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
 

@@ -13,10 +13,10 @@ from drawing import assert_depth_equals_rays, draw, flat_view, from_pixels
 from test_raster_lanes import triangle_soup, view_of
 
 import wkernels.raster as raster
-from wkernels.geometry import Bounds
-from wkernels.light_views import scene_views
+from wkernels.projections.light_views import scene_views
 from wkernels.raster import CULL_BACK, CULL_FRONT, CULL_NONE, Rasteriser
-from wkernels.views import HostView, eye_view
+from wkernels.scene.geometry import Bounds
+from wkernels.scene.views import HostView, eye_view
 
 
 def on_device(points: np.ndarray, faces: np.ndarray, device: str) -> tuple[wp.array, wp.array]:

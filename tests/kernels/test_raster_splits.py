@@ -11,19 +11,19 @@ import warp as wp
 from test_raster_many import cube_faces, on_device, sun_samples
 
 import wkernels.raster as raster
-from algorithms.composition import compose
-from wkernels.focusing import fitted_view, light_space
-from wkernels.frame import Session
-from wkernels.geometry import Bounds, Geometry
+from algorithms.projections.composition import compose
+from wkernels.frame.session import Session
 from wkernels.light_maps.light_map import depths_on_host
-from wkernels.light_maps.map_storage import DRAWINGS
+from wkernels.light_maps.storage import DRAWINGS
+from wkernels.projections.focusing import fitted_view, light_space
 from wkernels.raster import CULL_BACK, CULL_NONE, Rasteriser, TriangleBlocks
 from wkernels.raster.blocks import MAX_VIEWS
 from wkernels.raster.lane_culling import LANES
 from wkernels.raster.lane_lists import CLIP_RUNS
 from wkernels.raster.plain_splits import draw_splits_plainly
 from wkernels.raster.scratch import Scratch
-from wkernels.views import HostView
+from wkernels.scene.geometry import Bounds, Geometry
+from wkernels.scene.views import HostView
 
 PATHS = ["lanes", "tiles"]
 LIGHTS = {"sun": np.array([0.3, 0.8, 0.2, 0.0]), "lamp": np.array([2.0, 90.0, 1.0, 1.0])}

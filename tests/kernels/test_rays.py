@@ -11,11 +11,11 @@ import warp as wp
 from compare import assert_within_standard_errors
 
 from algorithms.plugins import find
-from wkernels.frame import FrameResult, Session
-from wkernels.geometry import CASTS, RECEIVES, Geometry
-from wkernels.lights import DirectionalLight, DiscLight, Light, RectangleLight
-from wkernels.rays import NO_RECEIVER, PROVEN_DARK, PROVEN_LIT, TRACED, binomial_standard_error, trace_point
-from wkernels.scene import Mesh, Scene
+from wkernels.frame.session import FrameResult, Session
+from wkernels.rays.single_rays import NO_RECEIVER, PROVEN_DARK, PROVEN_LIT, TRACED, binomial_standard_error, trace_point
+from wkernels.scene.geometry import CASTS, RECEIVES, Geometry
+from wkernels.scene.lights import DirectionalLight, DiscLight, Light, RectangleLight
+from wkernels.scene.model import Mesh, Scene
 
 WIDTH, HEIGHT = 64, 48
 AREA_LIGHTS = ("directional", "rectangle", "disc", "sphere", "linear", "polygon")

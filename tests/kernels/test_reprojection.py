@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import warp as wp
 
-from wkernels.launch import launch
+from wkernels.device.launch import launch
+from wkernels.scene.views import HostView, View
 from wkernels.temporal import reprojection
-from wkernels.views import HostView, View
 
 WIDTH, HEIGHT = 96, 64
 

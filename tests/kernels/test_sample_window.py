@@ -11,13 +11,13 @@ import warp as wp
 from compare import assert_twin
 
 from algorithms.plugins import find
-from wkernels.frame import Session
-from wkernels.geometry import Geometry
-from wkernels.launch import launch
-from wkernels.scene import Camera
-from wkernels.temporal.estimators import add_test
+from wkernels.device.launch import launch
+from wkernels.frame.session import Session
+from wkernels.sampling.estimators import add_test
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.model import Camera
 from wkernels.temporal.sample_window import SampleWindow, shorten, window_of
-from wkernels.temporal.stillness import count_still_frames
+from wkernels.temporal.shadow_buffer.stillness import count_still_frames
 
 
 @wp.kernel

@@ -7,10 +7,10 @@ import pytest
 import warp as wp
 from scipy.stats import qmc
 
-from wkernels import sampling
-from wkernels.disc_sets import CANDIDATES, best_candidates
+from wkernels.device.launch import launch
 from wkernels.errors import InputError
-from wkernels.launch import launch
+from wkernels.sampling import point_sets as sampling
+from wkernels.sampling.disc_sets import CANDIDATES, best_candidates
 
 KINDS = sorted(sampling.LIGHT_SETS)
 SPREAD_KINDS = [kind for kind in KINDS if kind != "random"]

@@ -10,14 +10,9 @@ import pytest
 import small_scenes
 import warp as wp
 
-from algorithms.composition import compose
-from wkernels.clipping import box_polyhedron
-from wkernels.frame import Session
-from wkernels.gbuffer import GBuffer
-from wkernels.geometry import Geometry
-from wkernels.launch import launch
-from wkernels.light_maps.light_map import LightMap
-from wkernels.light_maps.sampling_rate import (
+from algorithms.projections.composition import compose
+from wkernels.analysis.perspective_error import texels_per_pixel
+from wkernels.analysis.sampling_rate import (
     LEAST_COSINE,
     SamplingRate,
     map_use,
@@ -25,11 +20,16 @@ from wkernels.light_maps.sampling_rate import (
     unread_share,
     wasted_shares,
 )
-from wkernels.light_views import perspective_aliasing
-from wkernels.lights import DirectionalLight, Light
-from wkernels.perspective_error import texels_per_pixel
-from wkernels.scene import Camera, Scene
-from wkernels.views import HostView, LayerChoice, ProjectiveView
+from wkernels.device.launch import launch
+from wkernels.frame.session import Session
+from wkernels.light_maps.light_map import LightMap
+from wkernels.projections.clipping import box_polyhedron
+from wkernels.projections.light_views import perspective_aliasing
+from wkernels.raster.gbuffer import GBuffer
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.lights import DirectionalLight, Light
+from wkernels.scene.model import Camera, Scene
+from wkernels.scene.views import HostView, LayerChoice, ProjectiveView
 
 SIZE = (96, 64)
 TEXELS = 128

@@ -7,11 +7,11 @@ import pytest
 import small_scenes
 import warp as wp
 
-from wkernels.frame import Session
-from wkernels.geometry import RECEIVES, Geometry
-from wkernels.rays import PROVEN_LIT, trace_light
-from wkernels.scene import Scene
-from wkernels.shaft_rays import BATCH, LANES, sample_batches, trace_shafts
+from wkernels.frame.session import Session
+from wkernels.rays.shaft_rays import BATCH, LANES, sample_batches, trace_shafts
+from wkernels.rays.single_rays import PROVEN_LIT, trace_light
+from wkernels.scene.geometry import RECEIVES, Geometry
+from wkernels.scene.model import Scene
 
 WIDTH, HEIGHT = 64, 48
 AREA_LIGHTS = ("directional", "rectangle", "disc", "sphere", "linear", "polygon")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from wkernels.launch import launch
-from wkernels.summed_area import box_mean, summed_area_table
+from wkernels.device.launch import launch
+from wkernels.filters.summed_area import box_mean, summed_area_table
 
 UNIT_ROUNDOFF = 2.0**-53
 DTYPES = {2: wp.vec2, 4: wp.vec4}

@@ -6,9 +6,9 @@ import warp as wp
 from compare import assert_twin
 from small_scenes import camera
 
-from wkernels.launch import launch
+from wkernels.device.launch import launch
 from wkernels.raster import to_homogeneous_pixels
-from wkernels.views import HostView, View, eye_view, pixel_along_ws, pixel_base_ws
+from wkernels.scene.views import HostView, View, eye_view, pixel_along_ws, pixel_base_ws
 
 ORIGIN = np.zeros(3)
 

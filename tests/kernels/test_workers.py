@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from wkernels.launch import launch
-from wkernels.workers import MAX_WORKERS, SPIN_S, Team
+from wkernels.device.launch import launch
+from wkernels.device.workers import MAX_WORKERS, SPIN_S, Team
 
 ROWS = 61
 

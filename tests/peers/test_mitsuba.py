@@ -18,8 +18,8 @@ from scipy.stats import norm
 
 from experiments import reference_visibility, render_visibility
 from experiments.scenes import load_scene
-from wkernels.lights import RectangleLight
-from wkernels.scene import Mesh, Scene
+from wkernels.scene.lights import RectangleLight
+from wkernels.scene.model import Mesh, Scene
 
 pytestmark = pytest.mark.peers
 

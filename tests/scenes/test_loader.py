@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from experiments.scenes import load_scene
-from wkernels.lights import LIGHT_KINDS
+from wkernels.scene.lights import LIGHT_KINDS
 
 LIGHT = {"kind": "rectangle", "center": [0, 10, 0], "edge_u": [2, 0, 0], "edge_v": [0, 0, 2]}
 CAMERA = {"eye": [0, 2, 5], "target": [0, 0, 0]}

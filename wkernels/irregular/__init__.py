@@ -23,6 +23,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wkernels.device.lanes import uses_lanes
+from wkernels.device.launch import launch
 from wkernels.irregular.caster_lanes import LANES as CASTER_LANES
 from wkernels.irregular.caster_lanes import (
     Corners,
@@ -51,13 +53,11 @@ from wkernels.irregular.samples import (
     place_pixels,
     sort_rows,
 )
-from wkernels.lanes import uses_lanes
-from wkernels.launch import launch
-from wkernels.light_views import scene_views
+from wkernels.projections.light_views import scene_views
 
 if TYPE_CHECKING:
-    from wkernels.frame import Session
-    from wkernels.gbuffer import GBuffer
+    from wkernels.frame.session import Session
+    from wkernels.raster.gbuffer import GBuffer
 
 __all__ = ["find_hidden"]
 

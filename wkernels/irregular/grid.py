@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from wkernels.views import HostView
+from wkernels.scene.views import HostView
 
 ROUNDING = wp.constant(wp.float64(2.0e-7))  # of a float32 coordinate, and of what is added up from a few of them
 TINY = wp.constant(wp.float64(1.0e-300))

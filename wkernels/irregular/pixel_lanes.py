@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.geometry import CASTS, RECEIVES
 from wkernels.irregular.grid import LightFace
 from wkernels.irregular.samples import NO_ROW
-from wkernels.rays import ORIGIN_ERROR
+from wkernels.rays.single_rays import ORIGIN_ERROR
+from wkernels.scene.geometry import CASTS, RECEIVES
 
 LANES = wp.constant(64)
 Ints = wp.types.vector(length=LANES, dtype=wp.int32)

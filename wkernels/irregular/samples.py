@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.gbuffer import GBuffer, is_back_lit
-from wkernels.geometry import RECEIVES
 from wkernels.irregular.grid import LightFace, column_of, row_of, to_face
-from wkernels.light_maps.light_map import to_light
-from wkernels.rays import ray_origin
+from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
+from wkernels.rays.single_rays import ray_origin
+from wkernels.scene.geometry import RECEIVES
 
 NO_ROW = wp.constant(-1)
 PAD = wp.constant(16)  # room behind each row, so that a run of samples that starts in it ends in it

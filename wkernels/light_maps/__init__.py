@@ -1,1 +1,1 @@
-"""Light depth maps: how they are laid out, drawn, kept, and compared with receivers."""
+"""What a light depth map is, how it is stored, drawn and read. Begin with ``light_map``."""

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.filtering import BORDER
-from wkernels.lanes import LANES, Floats, Ints
-from wkernels.light_maps.light_map import LightMap
+from wkernels.device.lanes import LANES, Floats, Ints
+from wkernels.light_maps.light_map import BORDER, LightMap
 from wkernels.light_maps.receiver_lanes import LaneViews, ReceiverRun
 
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.lanes import LANES, Floats, runs_of, uses_lanes
-from wkernels.launch import launch
+from wkernels.device.lanes import LANES, Floats, runs_of, uses_lanes
+from wkernels.device.launch import launch
 
 
 @wp.kernel

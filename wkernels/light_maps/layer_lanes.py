@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.lanes import LANES, Floats, Ints
+from wkernels.device.lanes import LANES, Floats, Ints
 from wkernels.light_maps.light_map import BY_DEPTH, BY_MARGIN, FILTER_TEXELS, LightMap
 
 

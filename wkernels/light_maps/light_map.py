@@ -10,13 +10,14 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from wkernels.light_maps.map_storage import MapLayout, layers_on_host
+from wkernels.light_maps.storage import MapLayout, layers_on_host
 
 BIAS_KINDS = ("none", "constant", "slope", "back_face", "slope_back_face", "normal")
 BIAS_NONE, BIAS_CONSTANT, BIAS_SLOPE, BIAS_NORMAL = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
 BY_MARGIN, BY_DEPTH, FIRST_INSIDE = wp.constant(0), wp.constant(1), wp.constant(2)
 FILTER_TEXELS = wp.constant(4.0)  # a finer layer is taken only this far inside its border, where filters have room
 ROUNDING = wp.constant(2.0e-6)  # relative: what float32 loses between the map's depth and the receiver's
+BORDER = wp.constant(1.0e-3)  # texels: taps beyond the map move so far inside it, enough for float32 at 8192 texels
 
 
 @wp.struct
@@ -76,12 +77,6 @@ def depths_on_host(light_map: LightMap) -> np.ndarray:
 def to_texel(light_map: LightMap, layer: int, column: int, row: int):
     """Where in the map's memory a texel lies; column and row are inside the layer."""
     return light_map.layer_begin[layer] + row * light_map.pitch + column
-
-
-@wp.func
-def to_light(light_ws: wp.vec4, position_ws: wp.vec3):
-    """Unnormalised way from a position to a light sample."""
-    return wp.vec3(light_ws[0], light_ws[1], light_ws[2]) - position_ws * light_ws[3]
 
 
 @wp.func

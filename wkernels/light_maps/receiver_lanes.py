@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.gbuffer import PADDING, GBuffer
-from wkernels.geometry import CASTS, RECEIVES
-from wkernels.lanes import LANES, Floats, Ints, Vectors, flat_floats, runs_of
+from wkernels.device.lanes import LANES, Floats, Ints, Vectors, flat_floats, runs_of
 from wkernels.light_maps.layer_lanes import to_layers
 from wkernels.light_maps.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL, BIAS_SLOPE, ROUNDING, Bias, LightMap
+from wkernels.raster.gbuffer import PADDING, GBuffer
+from wkernels.scene.geometry import CASTS, RECEIVES
 
 
 @wp.struct

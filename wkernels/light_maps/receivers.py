@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.gbuffer import GBuffer, is_back_lit
-from wkernels.geometry import RECEIVES
-from wkernels.light_maps.light_map import Bias, LightMap, Receiver, locate_receiver, to_light
+from wkernels.light_maps.light_map import Bias, LightMap, Receiver, locate_receiver
+from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
+from wkernels.scene.geometry import RECEIVES
 
 
 @wp.func

@@ -21,8 +21,8 @@ from typing import Literal
 import numpy as np
 import warp as wp
 
+from wkernels.device.launch import wake_workers
 from wkernels.errors import InputError
-from wkernels.launch import wake_workers
 from wkernels.raster.blocks import MAX_VIEWS, TriangleBlocks
 from wkernels.raster.counting import COUNT_ALL, COUNT_FARTHER, COUNT_NEARER, Counted, count_plainly
 from wkernels.raster.lane_bands import PIECE, DepthKey
@@ -41,7 +41,7 @@ from wkernels.raster.triangles import (
     project_vertices,
     to_homogeneous_pixels,
 )
-from wkernels.views import View
+from wkernels.scene.views import View
 
 __all__ = [
     "COUNT_ALL",

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from wkernels.launch import launch
+from wkernels.device.launch import launch
 from wkernels.raster.lane_culling import LANES
 from wkernels.raster.triangles import is_finite_position
-from wkernels.views import View
+from wkernels.scene.views import View
 
 MAX_VIEWS = 32
 """Views that one mask tells apart."""

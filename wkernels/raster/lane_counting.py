@@ -29,7 +29,7 @@ from wkernels.raster.lane_culling import SMALL, column_of, edge_32, first_centre
 from wkernels.raster.lane_lists import LaneLists
 from wkernels.raster.lanes import pieces
 from wkernels.raster.triangles import HALF_PIXEL, SUBPIXELS, edge, top_left_bias
-from wkernels.views import View
+from wkernels.scene.views import View
 
 ALWAYS = (1.0, 0.0, 1.0)  # what a covered pixel adds for COUNT_ALL, _NEARER and _FARTHER,
 IF_NEARER = (0.0, 1.0, -1.0)  # and what it adds if the triangle is nearer there than what is seen

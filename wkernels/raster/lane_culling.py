@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from wkernels.raster.triangles import CLIP_TRIANGLES, CULL_BACK, CULL_NONE, GUARD_PIXELS, HALF_PIXEL, SUBPIXELS
-from wkernels.views import View
+from wkernels.scene.views import View
 
 LANES = wp.constant(128)  # vertices or triangles in one step
 OUTSIDE = wp.constant(1 << 28)  # column of a vertex that needs clipping

@@ -33,7 +33,7 @@ from wkernels.raster.split_culling import (
     project_instanced,
 )
 from wkernels.raster.triangles import CLIP_TRIANGLES, CLIP_VERTICES, clip_triangles
-from wkernels.views import View
+from wkernels.scene.views import View
 
 CHUNKS = 32
 CLIP_RUNS = 64  # room for the clipped triangles' vertices behind those of each of many views

@@ -24,7 +24,7 @@ from wkernels.raster.blocks import BlockViews
 from wkernels.raster.lane_bands import PIECE, DepthKey, IntPiece, Piece, Target, draw_band
 from wkernels.raster.lane_lists import BandLists, LaneLists
 from wkernels.raster.split_culling import Splits
-from wkernels.views import View
+from wkernels.scene.views import View
 
 MAX_TRIANGLES = 2**24  # the triangle of a pixel is kept in a float, next to its depth
 

@@ -23,7 +23,7 @@ from wkernels.raster.triangles import (
     needs_clipping,
     to_homogeneous_pixels,
 )
-from wkernels.views import View
+from wkernels.scene.views import View
 
 KEY_PIXELS = 2**26
 """Pixels of all views that CUDA draws at once, 8 bytes each."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import warp as wp
 
-from wkernels.launch import launch
+from wkernels.device.launch import launch
 
 
 @dataclass
@@ -35,5 +35,5 @@ class Scratch:
     def launch(
         self, kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: list, outputs: list, tile: int | None = None
     ) -> None:
-        """``wkernels.launch.launch`` on this device and these threads."""
+        """``wkernels.device.launch.launch`` on this device and these threads."""
         launch(kernel, dim, inputs, outputs, device=self.device, threads=self.threads, tile=tile)

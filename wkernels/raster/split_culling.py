@@ -28,7 +28,7 @@ from wkernels.raster.lane_culling import (
     row_of,
 )
 from wkernels.raster.triangles import CULL_BACK, CULL_NONE, GUARD_PIXELS, SUBPIXELS
-from wkernels.views import View
+from wkernels.scene.views import View
 
 MAX_SPLITS = wp.constant(32)
 States = wp.types.matrix(shape=(MAX_SPLITS, 4), dtype=wp.int32)

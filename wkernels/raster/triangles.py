@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.views import View
+from wkernels.scene.views import View
 
 SUBPIXELS = wp.constant(256)
 HALF_PIXEL = wp.constant(128)

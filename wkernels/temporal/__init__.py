@@ -1,1 +1,1 @@
-"""Memory from frame to frame: history, shadow buffers, sums of light samples, and their smoothing in the eye's view."""
+"""What frames remember of earlier ones, in folders by what is kept. Begin with ``reprojection``."""

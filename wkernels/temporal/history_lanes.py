@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.geometry import MOVES, RECEIVES
-from wkernels.lanes import LANES, Floats, Ints
+from wkernels.device.lanes import LANES, Floats, Ints
 from wkernels.light_maps.receiver_lanes import LaneViews
-from wkernels.temporal.shadow_buffer import EDGE_ON
-from wkernels.views import View
+from wkernels.scene.geometry import MOVES, RECEIVES
+from wkernels.scene.views import View
+from wkernels.temporal.shadow_buffer.record import EDGE_ON
 
 
 @wp.struct

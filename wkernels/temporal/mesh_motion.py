@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from wkernels.frame import Session
-from wkernels.geometry import Geometry
+from wkernels.frame.session import Session
+from wkernels.scene.geometry import Geometry
 
 
 @dataclass

@@ -9,10 +9,10 @@ from typing import Any
 
 import warp as wp
 
-from wkernels.lanes import LANES, Floats, first_of, second_of
-from wkernels.temporal.estimators import sampling_weight
-from wkernels.temporal.neighbourhood_filter import add_neighbours, add_neighbours_run
-from wkernels.temporal.shadow_buffer import TEXEL_TYPES, put
+from wkernels.device.lanes import LANES, Floats, first_of, second_of
+from wkernels.filters.neighbourhood_filter import add_neighbours, add_neighbours_run
+from wkernels.sampling.estimators import sampling_weight
+from wkernels.temporal.shadow_buffer.record import TEXEL_TYPES, put
 
 
 @wp.struct

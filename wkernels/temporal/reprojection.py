@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.views import View
+from wkernels.scene.views import View
 
 OUTSIDE_PX = wp.constant(-1.0e9)
 """Screen position given to points that have none."""

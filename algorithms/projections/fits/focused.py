@@ -2,7 +2,7 @@
 
 The covered body is H, the eye's frustum within the receivers' box; its depth range replaces the eye's, so that splits
 do not lie in empty space (section 3.3.1). The thesis fits to B, which holds H and all light rays to it within the
-scene: in the map B has the extent of H, and only its depth range is larger (``wkernels.focusing.light_body``), so that
+scene: in the map B has the extent of H, and only its depth range is larger (``focusing.light_body``), so that
 H suffices.
 
 Deviations: linear depth over the whole scene's range, so that no near plane need be moved, and casters before B need no
@@ -18,12 +18,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from algorithms.projection import Fit
-from wkernels.clipping import ConvexBody
-from wkernels.focusing import fitted_view, light_space, seen_body
-from wkernels.geometry import Bounds
-from wkernels.light_views import scene_views
-from wkernels.views import HostView
+from algorithms.projections.projection import Fit
+from wkernels.projections.clipping import ConvexBody
+from wkernels.projections.focusing import fitted_view, light_space, seen_body
+from wkernels.projections.light_views import scene_views
+from wkernels.scene.geometry import Bounds
+from wkernels.scene.views import HostView
 
 
 class Focused(Fit):

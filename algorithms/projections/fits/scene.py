@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from algorithms.projection import Fit
-from wkernels.geometry import Bounds
-from wkernels.light_views import scene_views
-from wkernels.views import HostView
+from algorithms.projections.projection import Fit
+from wkernels.projections.light_views import scene_views
+from wkernels.scene.geometry import Bounds
+from wkernels.scene.views import HostView
 
 
 class Scene(Fit):

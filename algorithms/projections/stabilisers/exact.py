@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from algorithms.projection import Stabiliser
-from wkernels.focusing import LightSpace
-from wkernels.stabilising import frustum_sphere, snapped_window
-from wkernels.views import HostView
+from algorithms.projections.projection import Stabiliser
+from wkernels.projections.focusing import LightSpace
+from wkernels.projections.stabilising import frustum_sphere, snapped_window
+from wkernels.scene.views import HostView
 
 
 class Exact(Stabiliser):

@@ -8,7 +8,7 @@ Known artefacts: too small a value starves the far end; the equations of the ana
 
 from __future__ import annotations
 
-from algorithms.projection import Warp, WarpShape
+from algorithms.projections.projection import Warp, WarpShape
 
 
 class Arbitrary(Warp):

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from algorithms.projection import Warp, WarpShape
+from algorithms.projections.projection import Warp, WarpShape
 
 
 class LispsmNopt(Warp):

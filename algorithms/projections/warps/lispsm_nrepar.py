@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from algorithms.projection import Warp, WarpShape
+from algorithms.projections.projection import Warp, WarpShape
 
 ETA_B, ETA_C = -0.2, 0.0  # eta at theta, and from theta + 0.3 (90 degrees - theta) on
 

@@ -17,7 +17,7 @@ from typing import Any
 from pydantic import create_model
 
 from experiments.scenes.schema import MeshOptions
-from wkernels.scene import Mesh
+from wkernels.scene.model import Mesh
 
 Generate = Callable[..., list[Mesh]]
 

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from experiments.scenes.generators._shapes import beams, boxes, lathe, merge, polyline_beams, sampling_of, tube
 from experiments.scenes.primitives import Triangles, grid
-from wkernels.scene import Mesh
+from wkernels.scene.model import Mesh
 
 
 def generate(

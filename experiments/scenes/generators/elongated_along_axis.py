@@ -13,7 +13,7 @@ from pydantic import Field
 
 from experiments.scenes.generators._shapes import lofts
 from experiments.scenes.primitives import Triangles, grid
-from wkernels.scene import Mesh
+from wkernels.scene.model import Mesh
 
 _COLOURS = ((0.74, 0.36, 0.24), (0.30, 0.46, 0.62), (0.36, 0.55, 0.34), (0.78, 0.60, 0.28))
 

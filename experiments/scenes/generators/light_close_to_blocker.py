@@ -14,7 +14,7 @@ from pydantic import Field
 
 from experiments.scenes.generators._shapes import lathe, merge, moved, rotation, sampling_of, torus
 from experiments.scenes.primitives import grid
-from wkernels.scene import Mesh
+from wkernels.scene.model import Mesh
 
 _PROFILE = (
     (0.62, 0.0), (0.64, 0.05), (0.50, 0.12), (0.20, 0.22), (0.11, 0.40), (0.10, 0.62), (0.18, 0.68), (0.19, 0.76),

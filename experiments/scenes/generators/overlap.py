@@ -26,7 +26,7 @@ from experiments.scenes.generators._shapes import (
     torus_knot_tube,
 )
 from experiments.scenes.primitives import Triangles, grid, sphere
-from wkernels.scene import Mesh
+from wkernels.scene.model import Mesh
 
 _FIGURE = (
     (0.42, 0.0), (0.44, 0.06), (0.40, 0.14), (0.27, 0.20), (0.20, 0.34), (0.15, 0.58), (0.13, 0.80), (0.26, 0.86),

@@ -15,7 +15,7 @@ from experiments.scenes.generators._paris_houses import PARK, WALLS, blocks, bod
 from experiments.scenes.generators._paris_tower import FOOTPRINT, tower
 from experiments.scenes.generators._shapes import boxes, copies, lofts, merge
 from experiments.scenes.primitives import Triangles, grid, sphere
-from wkernels.scene import Mesh
+from wkernels.scene.model import Mesh
 
 _SIZE = (850.0, 800.0)
 _RIVER = (-300.0, -215.0)  # z

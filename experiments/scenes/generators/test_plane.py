@@ -13,7 +13,7 @@ from pydantic import Field
 
 from experiments.scenes.generators._shapes import boxes
 from experiments.scenes.primitives import grid
-from wkernels.scene import Mesh
+from wkernels.scene.model import Mesh
 
 _WIDTH, _LENGTH = 30.0, 96.0
 

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from experiments.scenes.generators._shapes import sampling_of, torus_knot_tube
-from wkernels.scene import Mesh
+from wkernels.scene.model import Mesh
 
 
 def generate(

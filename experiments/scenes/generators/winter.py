@@ -14,7 +14,7 @@ from scipy.ndimage import map_coordinates
 
 from experiments.scenes.generators._shapes import beams, boxes, cones, lofts, merge, turned
 from experiments.scenes.primitives import Triangles, grid
-from wkernels.scene import Mesh
+from wkernels.scene.model import Mesh
 
 _SIZE = 500.0
 _HEIGHT = 100.0

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import small_scenes
 
-from algorithms.composition import compose
 from algorithms.plugins import load_all
-from wkernels.frame import Session
-from wkernels.geometry import Bounds, Geometry
-from wkernels.lights import DirectionalLight
-from wkernels.scene import Camera, Mesh
-from wkernels.views import HostView
+from algorithms.projections.composition import compose
+from wkernels.frame.session import Session
+from wkernels.scene.geometry import Bounds, Geometry
+from wkernels.scene.lights import DirectionalLight
+from wkernels.scene.model import Camera, Mesh
+from wkernels.scene.views import HostView
 
 WARPS: dict[str, dict[str, Any]] = {
     "none": {},

@@ -11,13 +11,12 @@ import small_scenes
 import warp as wp
 from projection_cases import SUN, posts
 
-from algorithms.composition import compose
 from algorithms.plugins import load_all
-from wkernels import near_plane
-from wkernels.frame import FrameResult, Session
-from wkernels.geometry import Geometry
-from wkernels.lights import DirectionalLight
-from wkernels.scene import Camera, Scene
+from algorithms.projections.composition import compose
+from wkernels.frame.session import FrameResult, Session, near_plane
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.lights import DirectionalLight
+from wkernels.scene.model import Camera, Scene
 
 UP = np.array([0.0, 1.0, 0.0])
 OVERHEAD = DirectionalLight(direction=-UP)

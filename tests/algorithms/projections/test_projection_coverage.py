@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from projection_cases import EYES, LIGHTS, SCENE, TEXELS, WARPS, project
 
-from algorithms.composition import compose
-from wkernels.clipping import box_polyhedron, clip_polyhedron, frustum_planes
-from wkernels.focusing import light_body, seen_body
-from wkernels.views import ProjectiveView
+from algorithms.projections.composition import compose
+from wkernels.projections.clipping import box_polyhedron, clip_polyhedron, frustum_planes
+from wkernels.projections.focusing import light_body, seen_body
+from wkernels.scene.views import ProjectiveView
 
 
 @pytest.mark.parametrize("light", LIGHTS)

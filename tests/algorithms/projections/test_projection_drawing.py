@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from projection_cases import FINER, SUN, hard_error
 
-from wkernels.lights import PointLight
+from wkernels.scene.lights import PointLight
 
 
 @pytest.mark.parametrize("lamp", ["sun", "point"])

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from projection_cases import ALL, FOV, MARGIN, TEXELS, eye_at, project, towards
 
-from algorithms.composition import compose
-from experiments.analysis import errors_of
-from experiments.config.analysis import Curve
-from wkernels.focusing import seen_body
-from wkernels.light_views import perspective_aliasing
-from wkernels.perspective_error import TiltedFrustum, partitioned_errors
-from wkernels.splits import split_borders
+from algorithms.projections.composition import compose
+from experiments.kinds.analysis.config import Curve
+from experiments.kinds.analysis.run import errors_of
+from wkernels.analysis.perspective_error import TiltedFrustum, partitioned_errors
+from wkernels.projections.focusing import seen_body
+from wkernels.projections.light_views import perspective_aliasing
+from wkernels.projections.splits import split_borders
 
 
 @pytest.mark.parametrize("splits", [1, 4])

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from projection_cases import EYES, LIGHTS, SCENE, TEXELS, bounds, eye_at, project
 
-from algorithms.composition import compose
+from algorithms.projections.composition import compose
 from wkernels.errors import InputError
-from wkernels.focusing import seen_body
+from wkernels.projections.focusing import seen_body
 
 
 @pytest.mark.parametrize("splits", [1, 3])

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from projection_cases import ALL, EYES, LIGHTS, SCENE, TEXELS, WARPS, bounds, eye_at, project, towards
 
-from algorithms.composition import compose
-from wkernels.light_views import perspective_aliasing
-from wkernels.views import ProjectiveView
+from algorithms.projections.composition import compose
+from wkernels.projections.light_views import perspective_aliasing
+from wkernels.scene.views import ProjectiveView
 
 ANGLES = [0.0, 1e-3, 0.01, 0.5, 0.999, 1.001, 5.0, 30.0, 90.0, 150.0, 179.0, 179.9999, 180.0]
 

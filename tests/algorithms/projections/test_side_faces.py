@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from projection_cases import ALL, EYES, FOV, LIGHTS, SCENE, TEXELS, WARPS, eye_at, project, towards
 
-from algorithms.composition import compose
-from wkernels.clipping import frustum_planes
+from algorithms.projections.composition import compose
 from wkernels.errors import InputError
-from wkernels.focusing import seen_body
-from wkernels.side_pieces import side_pieces
-from wkernels.views import HostView
+from wkernels.projections.clipping import frustum_planes
+from wkernels.projections.focusing import seen_body
+from wkernels.projections.side_pieces import side_pieces
+from wkernels.scene.views import HostView
 
 
 def seen_points(eye: HostView, count: int = 4000) -> np.ndarray:

@@ -10,14 +10,14 @@ import pytest
 import small_scenes
 from projection_cases import LIGHTS, SUN, WARPS, bounds, posts
 
-from algorithms.composition import compose
 from algorithms.plugins import load_all
-from wkernels.frame import Session
-from wkernels.geometry import Geometry
-from wkernels.light_maps import light_map_drawing
-from wkernels.lights import PointLight
-from wkernels.scene import Camera, Scene
-from wkernels.views import ProjectiveView, eye_view
+from algorithms.projections.composition import compose
+from wkernels.frame.session import Session
+from wkernels.light_maps import drawing as light_map_drawing
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.lights import PointLight
+from wkernels.scene.model import Camera, Scene
+from wkernels.scene.views import ProjectiveView, eye_view
 
 LAMPS = {"sun": SUN, "point": PointLight(position=np.array([-60.0, 90.0, -120.0]))}
 EYE = np.array([0.0, 3.0, -76.0])

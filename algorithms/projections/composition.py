@@ -1,0 +1,280 @@
+"""Composing a projection from its parts, as the key ``projection`` of an experiment file names them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from algorithms.projections.projection import LEAST_ANGLE, Fit, Stabiliser, Warp, fits, stabilisers, warps
+from wkernels.errors import InputError, nearest
+from wkernels.frame.near_plane import NEAR_PLANES
+from wkernels.frame.session import LightViews
+from wkernels.light_maps.storage import DRAWINGS, PLACES, MapOptions
+from wkernels.projections.clipping import ConvexBody, clip_polyhedron
+from wkernels.projections.focusing import LightSpace, depth_range, fitted_view, light_space, projective_view, warp_shape
+from wkernels.projections.light_views import scene_views
+from wkernels.projections.side_pieces import side_pieces
+from wkernels.projections.splits import SCHEMES, pseudo_planes, shares_of_split, split_borders
+from wkernels.scene.geometry import Bounds
+from wkernels.scene.views import HostView, LayerChoice, ProjectiveView
+
+DEFAULTS: Mapping[str, Any] = {
+    "fit": "scene",
+    "warp": "none",
+    "warp_distance": None,
+    "warp_centre": "view_vector",
+    "splits": 1,
+    "scheme": "practical",
+    "lambda": 0.5,
+    "pseudo_near": 0.0,
+    "pseudo_far": 0.0,
+    "selection": "depth",
+    "partition": "depth",
+    "near": "user",
+    "adjust": True,
+    "depth": "scene",
+    "storage": "separate",
+    "drawing": "passes",
+    "stabilise": "none",
+}
+MAX_SPLITS = 16
+
+
+def compose(settings: Mapping[str, Any] | None = None) -> LightViews:
+    """The projection that a mapping with the keys of an experiment file's ``projection`` stands for.
+
+    Args:
+        settings: Keys of ``DEFAULTS``; what is left out is the plainest value.
+
+    Raises:
+        InputError: An unknown key, a value that does not exist, or parts that make no sense together, with the reason.
+    """
+    given = dict(settings or {})
+    for key in given:
+        if key not in DEFAULTS:
+            raise InputError(f"is not a known key.{nearest(str(key), DEFAULTS)}", key=f"projection.{key}")
+    chosen = {**DEFAULTS, **given}
+    tables: dict[str, Any] = {"fit": fits(), "warp": warps(), "stabilise": {"none": None, **stabilisers()}}
+    choices: dict[str, list[Any]] = {
+        **{key: list(table) for key, table in tables.items()},
+        "splits": list(range(1, MAX_SPLITS + 1)),
+        "scheme": list(SCHEMES),
+        "selection": ["depth", "best"],
+        "storage": list(PLACES),
+        "drawing": list(DRAWINGS),
+        "warp_centre": ["view_vector", "vertex"],
+        "partition": ["depth", "faces"],
+        "near": list(NEAR_PLANES),
+        "adjust": [True, False],
+        "depth": ["scene", "tight"],
+    }
+    for key, values in choices.items():
+        # a bool compares equal to a number and is no number of splits, nor a number a bool
+        if isinstance(chosen[key], bool) != isinstance(values[0], bool) or chosen[key] not in values:
+            shown = f"1 to {MAX_SPLITS}" if key == "splits" else ", ".join(str(value) for value in values)
+            raise InputError(f"{chosen[key]!r} is not available; available: {shown}.", key=f"projection.{key}")
+    fit: Fit = tables["fit"][chosen["fit"]]()
+    _check_together(chosen, fit)
+    if not fit.follows_eye:
+        return SceneViews(fit, chosen)
+    stabiliser = tables["stabilise"][chosen["stabilise"]]
+    return Composition(fit, tables["warp"][chosen["warp"]](), stabiliser() if stabiliser else None, chosen)
+
+
+def _check_together(chosen: Mapping[str, Any], fit: Fit) -> None:
+    """Refuses compositions that make no sense."""
+
+    def refuse(key: str, why: str) -> InputError:
+        return InputError(why, key=f"projection.{key}")
+
+    if not fit.follows_eye:
+        tight = ", ".join(name for name, cls in fits().items() if cls.follows_eye)
+        for key in ("warp", "splits", "stabilise", "partition", "near", "adjust", "depth"):
+            if chosen[key] != DEFAULTS[key]:
+                why = (
+                    f"{chosen[key]!r} needs a fit that follows the eye ({tight}); '{fit.name}' covers the whole scene."
+                )
+                raise refuse(key, why)
+    if chosen["stabilise"] != "none" and chosen["warp"] != "none":
+        why = "cannot stabilise a warp, whose texels differ in size and move with the eye; a temporal technique can."
+        raise refuse("stabilise", why)
+    if chosen["near"] != "user" and chosen["stabilise"] == "exact":
+        why = f"{chosen['near']!r} cannot be with texels of constant size, which need a constant depth range."
+        raise refuse("near", why)
+    if chosen["partition"] == "faces":
+        if chosen["splits"] > 1:
+            why = "'faces' needs one split: it divides the view by its sides instead of by depth."
+            raise refuse("partition", why)
+        if chosen["stabilise"] != "none":
+            raise refuse("stabilise", "cannot stabilise the maps of faces, whose axes turn with the eye.")
+        if chosen["selection"] != "depth":
+            raise refuse("selection", "'best' chooses among splits by depth; the maps of faces are chosen by margin.")
+    if (chosen["warp"] == "arbitrary") != (chosen["warp_distance"] is not None):
+        why = "is required by the warp 'arbitrary'." if chosen["warp"] == "arbitrary" else "needs the warp 'arbitrary'."
+        raise refuse("warp_distance", why)
+    for key in ("pseudo_near", "pseudo_far"):
+        if chosen[key] and chosen["scheme"] != "pseudo":
+            raise refuse(key, "needs the scheme 'pseudo'.")
+    if chosen["pseudo_near"] + chosen["pseudo_far"] >= 1.0:
+        raise refuse("pseudo_near", "pseudo_near and pseudo_far together must be less than 1.")
+    slots = PLACES[chosen["storage"]]
+    if slots is not None and fit.follows_eye:  # how many views cover the whole scene is up to its light
+        if chosen["splits"] > slots or (chosen["storage"] == "cube6" and chosen["splits"] != slots):
+            raise refuse(
+                "storage", f"{chosen['storage']!r} has {slots} places, which {chosen['splits']} splits do not fit."
+            )
+
+
+class SceneViews:
+    """A fit that does not follow the eye; a ``LightViews``.
+
+    Args:
+        fit: The fit.
+        settings: All keys of ``DEFAULTS``, checked.
+    """
+
+    def __init__(self, fit: Fit, settings: Mapping[str, Any]) -> None:
+        self.fit = fit
+        self.map_options = MapOptions(settings["storage"], settings["drawing"])
+
+    def __call__(
+        self, light_ws: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int, eye: HostView
+    ) -> list[HostView]:
+        """The fit's views."""
+        return self.fit.views(light_ws, receivers, casters, resolution, eye)
+
+
+class Composition:
+    """A fit that follows the eye, with a warp, a partition and a stabiliser, which is a ``LightViews``.
+
+    Args:
+        fit, warp, stabiliser: The parts; None where nothing is stabilised.
+        settings: All keys of ``DEFAULTS``, checked.
+
+    Attributes:
+        near: Which near plane the eye's view has that this is called with; ``wkernels.frame.near_plane``.
+        left_out: Pairs (what, reason) of what the last call could not do, or did not need to.
+    """
+
+    def __init__(self, fit: Fit, warp: Warp, stabiliser: Stabiliser | None, settings: Mapping[str, Any]) -> None:
+        self.fit, self.warp, self.stabiliser, self.settings = fit, warp, stabiliser, dict(settings)
+        self.map_options = MapOptions(settings["storage"], settings["drawing"])
+        self.near: str = self.settings["near"]
+        self.left_out: list[tuple[str, str]] = []
+
+    def __call__(
+        self, light_ws: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int, eye: HostView
+    ) -> list[HostView]:
+        """One view per part that has something to cover, nearest first; the whole scene's where none has.
+
+        Raises:
+            InputError: A stabiliser with a point light.
+        """
+        if self.stabiliser is not None and light_ws[3] != 0.0:
+            raise InputError(
+                "needs a directional light: other maps have no constant texels.", key="projection.stabilise"
+            )
+        self.left_out = []
+        whole = self.fit.body(receivers, eye)
+        if whole.is_empty:
+            self._note("focused light views", "the eye sees nothing that receives: the whole scene's are used")
+            return scene_views(light_ws, receivers, casters, resolution)
+        scene = Bounds()
+        scene.add(np.concatenate([receivers.corners, casters.corners]))
+        faces = self.settings["partition"] == "faces"
+        pieces = side_pieces(whole, eye) if faces else [(whole, eye)]
+        views: list[HostView] = []
+        for body, ahead in pieces:
+            space = light_space(light_ws, body.vertices, scene, ahead, turned=self.stabiliser is None)
+            if space is None:  # no plane map holds the body
+                self._note(
+                    "focused light views",
+                    "the light is amid what is seen, or sees it too wide for one view: the whole scene's are used",
+                )
+                return scene_views(light_ws, receivers, casters, resolution)
+            clamp = self._clamp(space, whole, scene)
+            views += [
+                replace(view, clamped_before=clamp) for view in self._parts(space, body, ahead, resolution, not faces)
+            ]
+        return views or scene_views(light_ws, receivers, casters, resolution)
+
+    def _note(self, what: str, reason: str) -> None:
+        self.left_out.append((what, reason))
+
+    def _parts(
+        self, space: LightSpace, whole: ConvexBody, eye: HostView, resolution: int, by_depth: bool
+    ) -> list[ProjectiveView]:
+        """The views of a body's splits; without a choice of layers where the body is one of several pieces."""
+        views = []
+        adjusts = self.settings["adjust"] and (self.stabiliser is None or self.stabiliser.adjusts)
+        near, far = depth_range(whole.vertices, eye) if adjusts else (eye.near, eye.far)
+        borders = self._borders(near, far)
+        row = (*eye.forward_ws, -float(eye.forward_ws @ eye.eye_ws))
+        for i, (begin, end) in enumerate(itertools.pairwise(borders)):
+            body = whole
+            if len(borders) > 2:
+                ahead = np.array(row)
+                body = clip_polyhedron(whole, np.stack([ahead - (0, 0, 0, begin), (0, 0, 0, end) - ahead]))
+            if body.is_empty:
+                self._note("light view of a split", "nothing of what the eye sees lies in it")
+                continue
+            last = i == len(borders) - 2
+            choice = LayerChoice(self.settings["selection"], row, np.inf if last else float(end)) if by_depth else None
+            part = replace(eye, near=float(begin), far=float(end))
+            planes = pseudo_planes(near, far, self.settings["pseudo_near"], self.settings["pseudo_far"])
+            shares = shares_of_split(borders, i, planes)
+            views.append(self._view(space, body.vertices, part, resolution, choice, shares))
+        return views
+
+    def _clamp(self, space: LightSpace, seen: ConvexBody, scene: Bounds) -> float:
+        """Linear depth that casters are clamped to; 0 where that would move none.
+
+        It is as far before what is seen as that is deep: a bias that carries a receiver before it would have carried
+        the receiver before everything that is seen, too. All layers have it from the whole of what is seen, because
+        receivers may read a layer that was not made for them.
+        """
+        if self.settings["depth"] == "scene":
+            return 0.0
+        depth, first = (points @ space.rows[2, :3] + space.rows[2, 3] for points in (seen.vertices, scene.corners))
+        near = 2.0 * float(depth.min()) - float(depth.max())
+        return near if near > max(float(first.min()), 0.0) else 0.0
+
+    def _borders(self, near: float, far: float) -> np.ndarray:
+        settings = self.settings
+        if far <= near * (1.0 + 1e-9):  # flat across the view: nothing to split
+            if settings["splits"] > 1:
+                self._note("splits of the view's depth", "what is seen has no depth to split")
+            return np.array([near, far])
+        shares = settings["pseudo_near"], settings["pseudo_far"]
+        return split_borders(near, far, settings["splits"], settings["scheme"], settings["lambda"], *shares)
+
+    def _view(
+        self,
+        space: LightSpace,
+        body: np.ndarray,
+        eye: HostView,
+        resolution: int,
+        choice: LayerChoice | None,
+        shares: tuple[float, float],
+    ) -> ProjectiveView:
+        if self.stabiliser is not None:
+            left, right, bottom, top = self.stabiliser.window(space, body, eye, resolution)
+            rows = space.rows
+            rows[0] = (2.0 * rows[0] - (right + left) * rows[3]) / (right - left)
+            rows[1] = (2.0 * rows[1] - (top + bottom) * rows[3]) / (top - bottom)
+            return projective_view(space, rows, resolution, choice)
+        given = {"pseudo_near": shares[0], "pseudo_far": shares[1], "distance": self.settings["warp_distance"]}
+        shape = warp_shape(space, body, eye, **given)
+        distance = self.warp.bounded_distance(shape)
+        if shape.gamma < LEAST_ANGLE and self.settings["warp"] != "none":
+            self._note("warp", "light and view direction are less than a degree apart: nothing is better than none")
+        depth = (body - eye.eye_ws) @ eye.forward_ws
+        # the point with the nearest corner's depth on the view vector moves as the eye does; the corner itself jumps
+        centre = eye.eye_ws + float(depth.min()) * eye.forward_ws
+        if self.settings["warp_centre"] == "vertex":
+            centre = body[int(np.argmin(depth))]
+        return fitted_view(space, body, resolution, distance, centre if np.isfinite(distance) else None, choice)

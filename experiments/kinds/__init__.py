@@ -1,0 +1,1 @@
+"""The kinds of experiment, a folder each: its schema, how it runs, its report."""

@@ -1,0 +1,1 @@
+"""Kind ``analysis``: aliasing error along the view, from formulas alone."""

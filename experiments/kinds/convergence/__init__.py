@@ -1,0 +1,1 @@
+"""Kind ``convergence``: error over frames of a still camera or over light samples."""

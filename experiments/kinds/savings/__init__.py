@@ -1,0 +1,1 @@
+"""Kind ``savings``: what leaving out work saves, rule by rule."""

@@ -1,0 +1,190 @@
+"""What a run will leave out and why, as far as the scene, the path and the techniques' declarations tell beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from algorithms.projections.composition import compose
+from algorithms.technique import MapParams
+from wkernels.frame.empty_maps import UNCOMPARED, UNDRAWN, may_see
+from wkernels.frame.map_shelf import BESIDE
+from wkernels.frame.result import TURNED_AWAY
+from wkernels.projections.light_views import scene_views
+from wkernels.scene.geometry import Bounds
+from wkernels.scene.views import HostView, eye_view
+from wkernels.temporal.shadow_buffer.mover_shadow import NO_MOVERS
+from wkernels.temporal.shadow_buffer.step import SETTLED
+
+if TYPE_CHECKING:
+    from experiments.config.techniques import TechniqueRun
+    from experiments.kinds.walkthrough.config import Experiment
+    from wkernels.scene.model import Mesh, Scene
+    from wkernels.workspace.left_out import Omission
+
+FRAMES_LOOKED_AT = 30  # of a walkthrough, evenly spaced, for what depends on where the eye is
+
+
+def skip_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, type]) -> list[str]:
+    """Every line is (what: why), after the labels that it is about unless that is all of them."""
+    casters = [mesh for mesh in scene.meshes if mesh.casts]
+    if not casters:
+        return ["depth maps, blocker searches and rays: no mesh casts, everything is lit"]
+    lines = [*_kept_lines(experiment, scene, plugins), *_fallback_lines(experiment, scene)]
+    found: dict[Omission, list[str]] = {}
+    for run in experiment.runs:
+        for omission in own_omissions(scene, experiment.light, plugins[run.name], run.params):
+            found.setdefault(omission, []).append(run.label)
+    readers = [run for run in experiment.runs if reads_map(plugins[run.name])]
+    if readers:
+        found[TURNED_AWAY] = [run.label for run in readers]
+    for run in readers:
+        for omission, frames in _of_views(experiment, scene, run).items():
+            found.setdefault((omission[0], f"{omission[1]} ({frames})"), []).append(run.label)
+    if len(readers) < len(experiment.runs):
+        others = [run.label for run in experiment.runs if run not in readers]
+        found["light depth map", "nothing asks for it"] = others
+    every = len(experiment.runs)
+    lines += [
+        f"{'' if len(labels) == every else ', '.join(labels) + ': '}{what}: {why}"
+        for (what, why), labels in found.items()
+    ]
+    unused = set(plugins) - {run.name for run in experiment.runs}
+    if unused:
+        lines.append(f"compiling the kernels of {len(unused)} other techniques: no label uses them")
+    return lines
+
+
+def own_omissions(scene: Scene, light: int, technique: Any, params: Mapping[str, Any]) -> Iterator[Omission]:
+    """What a technique declares that it may leave out, without what scene or parameters rule out."""
+    ruled_out = {
+        "the light has no area": scene.lights[light].has_area,
+        "its kernel has one tap": params.get("taps") != 1,
+        "no caster moves": any(mesh.moving and mesh.casts for mesh in scene.meshes),
+    }
+    unused = {NO_MOVERS: params.get("mover_map", "none") == "none", SETTLED: params.get("stop_error", 0.0) == 0.0}
+    for what, why in getattr(technique, "may_leave_out", ()):
+        if not ruled_out.get(why, False) and not unused.get((what, why), False):
+            yield what, why
+
+
+def reads_map(technique: Any) -> bool:
+    """Whether a technique reads a light depth map: it has the parameters of one."""
+    return issubclass(technique.Params, MapParams)
+
+
+def _kept_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, type]) -> Iterator[str]:
+    """What later frames take over from earlier ones."""
+    if len(experiment.frames) == 1:
+        return
+    rests = camera_rests(experiment, scene)
+    anew = [run.label for run in experiment.runs if _draws_anew(plugins[run.name])]
+    casters_move = any(mesh.moving and mesh.casts for mesh in scene.meshes)
+    if len(anew) < len(experiment.runs) and not light_moves(experiment, scene):
+        follows = not rests and any(follows_eye(run) for run in experiment.runs)
+        maps = "depth maps that do not follow the eye" if follows else "depth maps"
+        when = "on frames in which no caster has moved" if casters_move else "on later frames"
+        why = "the light stands still" if casters_move else "no caster moves and neither does the light"
+        but = f" (but not the maps of {', '.join(anew)})" if anew else ""
+        yield f"building {maps} and ray structures anew {when}: {why}{but}"
+    if anew:
+        yield f"nothing of the depth maps of {', '.join(anew)}: every frame draws one for a sample of its own"
+    if rests and not any(mesh.moving for mesh in scene.meshes):
+        yield "drawing the G-buffer again on later frames: neither the camera nor a mesh moves"
+
+
+def _draws_anew(technique: Any) -> bool:
+    """Whether a technique draws maps for other points of the light in every frame: with memory, but none of maps."""
+    return bool(technique.needs.history and not technique.needs.still_light)
+
+
+def light_moves(experiment: Experiment, scene: Scene) -> bool:
+    """Whether the light moves between any two of the frames; otherwise its motion is as good as none."""
+    motion = scene.lights[experiment.light].motion
+    if motion is None:
+        return False
+    first = motion(experiment.frames[0])
+    return not all(np.array_equal(first, motion(frame)) for frame in experiment.frames)
+
+
+def follows_eye(run: TechniqueRun) -> bool:
+    """Whether a label's maps depend on where the eye is."""
+    return hasattr(compose(run.projection), "near")
+
+
+def camera_rests(experiment: Experiment, scene: Scene) -> bool:
+    """Whether the camera is the same on all frames."""
+    first = scene.camera(experiment.frames[0])
+    poses = (scene.camera(frame) for frame in experiment.frames)
+    return all(
+        np.array_equal(np.concatenate([p.eye, p.target, p.up]), np.concatenate([first.eye, first.target, first.up]))
+        for p in poses
+    )
+
+
+def _boxes(experiment: Experiment, scene: Scene) -> tuple[Bounds, Bounds]:
+    """Boxes of what receives and of what casts, on the first frame."""
+    receivers, casters = Bounds(), Bounds()
+    for mesh in scene.meshes:
+        for bounds, takes_part in ((receivers, mesh.receives), (casters, mesh.casts)):
+            if takes_part:
+                bounds.add(_corners(mesh, experiment.frames[0]))
+    return receivers, casters
+
+
+def _corners(mesh: Mesh, frame: int) -> np.ndarray:
+    pose = mesh.object_to_ws(frame)
+    points = np.asarray(mesh.vertices, float) @ pose[:3, :3].T + pose[:3, 3]
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def _looked_at(experiment: Experiment) -> Sequence[int]:
+    return experiment.frames[:: -(-len(experiment.frames) // FRAMES_LOOKED_AT)]
+
+
+def _eye(experiment: Experiment, scene: Scene, frame: int) -> HostView:
+    return eye_view(scene.camera(frame), experiment.image.width, experiment.image.height, np.zeros(3))
+
+
+def _of_views(experiment: Experiment, scene: Scene, run: TechniqueRun) -> dict[Omission, str]:
+    """What the light's views say of a label's maps, and on how many frames: from boxes, from the light's centre."""
+    receivers, casters = _boxes(experiment, scene)
+    if receivers.empty or casters.empty:
+        return {}
+    views: Any = compose(run.projection) if run.projection else None
+    changes = follows_eye(run) or light_moves(experiment, scene)
+    frames = _looked_at(experiment) if changes else experiment.frames[:1]
+    counts: dict[Omission, int] = {}
+    for frame in frames:
+        light_ws = scene.light(experiment.light, frame).centre
+        if views is None:
+            made = scene_views(light_ws, receivers, casters, 64)
+        else:
+            made = views(light_ws, receivers, casters, 64, _eye(experiment, scene, frame))
+        told = [UNDRAWN, UNCOMPARED] if not may_see(made, casters) else [BESIDE] if len(made) > 1 else []
+        for omission in told:
+            counts[omission] = counts.get(omission, 0) + 1
+    if not changes:
+        return dict.fromkeys(counts, "on all frames")
+    return {omission: f"on {n} of {len(frames)} frames looked at" for omission, n in counts.items()}
+
+
+def _fallback_lines(experiment: Experiment, scene: Scene) -> list[str]:
+    """What the projections cannot do, or need not, on some of the frames: from boxes, with the camera's near plane."""
+    receivers, casters = _boxes(experiment, scene)
+    frames = _looked_at(experiment)
+    lines: list[str] = []
+    for run in experiment.runs:
+        views: Any = compose(run.projection) if follows_eye(run) and not receivers.empty else None
+        counts: dict[Omission, int] = {}
+        for frame in frames if views is not None else ():
+            views(scene.light(experiment.light, frame).centre, receivers, casters, 64, _eye(experiment, scene, frame))
+            for told in set(views.left_out):
+                counts[told] = counts.get(told, 0) + 1
+        lines += [
+            f"{run.label}: {what} on {count} of {len(frames)} frame{'' if len(frames) == 1 else 's'} looked at: {why}"
+            for (what, why), count in counts.items()
+        ]
+    return lines

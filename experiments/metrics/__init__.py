@@ -1,0 +1,1 @@
+"""What is measured of a picture and of a sequence of them. Begin with ``registry``."""

@@ -1,0 +1,1 @@
+"""Techniques and references rendered frame by frame. Begin with ``engine``."""

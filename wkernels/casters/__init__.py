@@ -1,0 +1,1 @@
+"""Casters as shapes: flattened onto a plane, as blobs, as edges. Begin with ``flattening``."""

@@ -1,0 +1,174 @@
+"""Separable blur of images: a row pass, then a column pass. Texels beyond the border repeat the nearest one inside."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from wkernels.device.lanes import LANES, Floats, flat_floats, runs_of, runs_per_row, uses_lanes
+from wkernels.device.launch import launch
+
+
+def box_weights(radius: int) -> np.ndarray:
+    """Equal weights of 2 ``radius`` + 1 taps, float64, sum 1; ``radius`` >= 0 in texels."""
+    return np.full(2 * radius + 1, 1.0 / (2 * radius + 1))
+
+
+def gaussian_weights(radius: int, sigma: float | None = None) -> np.ndarray:
+    """Gaussian weights of 2 ``radius`` + 1 taps.
+
+    Args:
+        radius: Texels on each side, >= 0.
+        sigma: Standard deviation in texels, > 0; half the radius if not given, so that the kernel ends at two of it.
+
+    Returns:
+        float64 (2 radius + 1,), symmetric, sum 1.
+    """
+    if radius == 0:
+        return np.ones(1)
+    offset = np.arange(-radius, radius + 1) / (0.5 * radius if sigma is None else sigma)
+    weights = np.exp(-0.5 * offset * offset)
+    return weights / weights.sum()
+
+
+@wp.kernel
+def blur_rows(first: int, image: wp.array2d[Any], weights: wp.array[float], blurred_out: wp.array2d[Any]):
+    """Weighted mean along the row of each texel."""
+    row, x = wp.tid()
+    y = first + row
+    radius = weights.shape[0] / 2
+    last = image.shape[1] - 1
+    total = image.dtype()
+    for i in range(weights.shape[0]):
+        total += weights[i] * image[y, wp.clamp(x + i - radius, 0, last)]
+    blurred_out[y, x] = total
+
+
+@wp.kernel
+def blur_columns(first: int, image: wp.array2d[Any], weights: wp.array[float], blurred_out: wp.array2d[Any]):
+    """Weighted mean along the column of each texel."""
+    row, x = wp.tid()
+    y = first + row
+    radius = weights.shape[0] / 2
+    last = image.shape[0] - 1
+    total = image.dtype()
+    for i in range(weights.shape[0]):
+        total += weights[i] * image[wp.clamp(y + i - radius, 0, last), x]
+    blurred_out[y, x] = total
+
+
+@wp.kernel
+def blur_rows_lanes(
+    first: int,
+    image: wp.array(dtype=float),  # flat
+    image_runs: wp.array(dtype=Floats),  # a run from every float on
+    pitch: int,  # floats from one row of the image to the next; those of the blurred one lie side by side
+    row_floats: int,
+    components: int,
+    weights: wp.array(dtype=float),
+    blurred_out: wp.array(dtype=Floats),
+):
+    """``blur_rows`` of a run of floats; the last run of a row begins within the one before."""
+    row, run = wp.tid()
+    y = first + row
+    begin = y * pitch
+    start = wp.min(run * LANES, row_floats - LANES)
+    radius = weights.shape[0] / 2
+    reach = radius * components
+    total = Floats(0.0)
+    if start >= reach and start + LANES + reach <= row_floats:
+        for i in range(weights.shape[0]):
+            weight = weights[i]
+            values = image_runs[begin + start + (i - radius) * components]
+            for k in range(LANES):
+                total[k] = total[k] + weight * values[k]
+    else:
+        last = row_floats / components - 1
+        for i in range(weights.shape[0]):
+            weight = weights[i]
+            for k in range(LANES):
+                texel = (start + k) / components
+                component = start + k - texel * components
+                nearest = wp.clamp(texel + i - radius, 0, last)
+                total[k] = total[k] + weight * image[begin + nearest * components + component]
+    blurred_out[y * row_floats + start] = total
+
+
+@wp.kernel
+def blur_columns_lanes(
+    first: int,
+    image_runs: wp.array(dtype=Floats),
+    pitch_out: int,  # of the blurred image
+    row_floats: int,
+    rows: int,
+    weights: wp.array(dtype=float),
+    blurred_out: wp.array(dtype=Floats),
+):
+    """``blur_columns`` of a run of floats."""
+    row, run = wp.tid()
+    y = first + row
+    start = wp.min(run * LANES, row_floats - LANES)
+    radius = weights.shape[0] / 2
+    total = Floats(0.0)
+    for i in range(weights.shape[0]):
+        weight = weights[i]
+        values = image_runs[wp.clamp(y + i - radius, 0, rows - 1) * row_floats + start]
+        for k in range(LANES):
+            total[k] = total[k] + weight * values[k]
+    blurred_out[y * pitch_out + start] = total
+
+
+_TYPES = (wp.vec2, wp.vec4)
+_BLUR_ROWS, _BLUR_COLUMNS = (
+    {t: wp.overload(kernel, [int, wp.array2d(dtype=t), wp.array(dtype=float), wp.array2d(dtype=t)]) for t in _TYPES}
+    for kernel in (blur_rows, blur_columns)
+)
+
+
+def separable_blur(
+    image: wp.array,
+    weights: np.ndarray,
+    *,
+    threads: int | None = None,
+    scratch: wp.array | None = None,
+    out: wp.array | None = None,
+) -> wp.array:
+    """``image`` blurred by the outer product of ``weights`` with itself, on the device of the image.
+
+    Args:
+        image: (H, W) of vec2 or vec4; a part of a larger one too.
+        weights: An odd number of taps; ``box_weights`` or ``gaussian_weights``. Used as float32.
+        threads: CPU threads; see ``wkernels.device.launch``. The result does not depend on it.
+        scratch: Holds the row pass, contiguous; like ``image`` and not the same array. A new one if not given.
+        out: Like ``image``, and may be the same array. A new one if not given.
+
+    Returns:
+        ``out``.
+
+    Raises:
+        TypeError: The image has another type.
+        ValueError: The number of weights is even.
+    """
+    if image.dtype not in _TYPES or image.ndim != 2:
+        raise TypeError(f"a blur needs a 2-D array of vec2 or vec4, not {image.dtype.__name__}")
+    if len(weights) % 2 == 0:
+        raise ValueError(f"a blur needs an odd number of weights, not {len(weights)}")
+    device = str(image.device)
+    scratch = wp.empty_like(image) if scratch is None else scratch
+    out = wp.empty_like(image) if out is None else out
+    taps = wp.array(np.asarray(weights, np.float32), dtype=float, device=device)
+    components = image.dtype._length_
+    row_floats = image.shape[1] * components
+    dense = image.strides[1] == out.strides[1] == 4 * components and scratch.is_contiguous
+    if uses_lanes(device) and row_floats >= LANES and dense:
+        runs = (image.shape[0], runs_per_row(row_floats))
+        inputs = [flat_floats(image), runs_of(image, Floats), image.strides[0] // 4, row_floats, components, taps]
+        launch(blur_rows_lanes, runs, inputs, [runs_of(scratch, Floats)], device=device, threads=threads)
+        inputs = [runs_of(scratch, Floats), out.strides[0] // 4, row_floats, image.shape[0], taps]
+        launch(blur_columns_lanes, runs, inputs, [runs_of(out, Floats)], device=device, threads=threads)
+        return out
+    launch(_BLUR_ROWS[image.dtype], image.shape, [image, taps], [scratch], device=device, threads=threads)
+    launch(_BLUR_COLUMNS[image.dtype], image.shape, [scratch, taps], [out], device=device, threads=threads)
+    return out

@@ -1,0 +1,176 @@
+"""Moments of depth, and what share of the depths under a filter they say can be lit (Donnelly and Lauritzen 2006)."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from wkernels.device.lanes import LANES, Floats, Pairs
+from wkernels.light_maps.comparison_lanes import first_texels
+from wkernels.light_maps.light_map import LightMap, to_texel
+from wkernels.light_maps.receiver_lanes import ReceiverRun
+
+
+@wp.struct
+class Chebyshev:
+    """How moments become visibility."""
+
+    near: float  # linear depth that is -1/2, scene units
+    per_length: float  # 1 / (depth range), per scene unit
+    min_variance: float  # of normalised depth
+    bleeding: float  # share of the bound that is cut off
+
+
+@wp.func
+def normalised(chebyshev: Chebyshev, depth: float):
+    """Linear depth to [-1/2, 1/2] over the range; empty texels (+inf) and what lies beyond it to 1/2."""
+    return wp.min((depth - chebyshev.near) * chebyshev.per_length, 1.0) - 0.5
+
+
+@wp.func
+def lit_share(chebyshev: Chebyshev, moments: wp.vec2, depth: float):
+    """Upper bound of the share of depths, with these moments, at or beyond ``depth`` (all normalised), in [0, 1]."""
+    behind = depth - moments[0]
+    bound = float(1.0)
+    if behind > 0.0:
+        variance = wp.max(moments[1] - moments[0] * moments[0], chebyshev.min_variance)
+        bound = variance / (variance + behind * behind)
+    return wp.max(bound - chebyshev.bleeding, 0.0) / (1.0 - chebyshev.bleeding)
+
+
+@wp.func
+def smaller_step(before: float, here: float, after: float):
+    """The smaller of the two one-sided differences."""
+    return wp.min(wp.abs(here - before), wp.abs(after - here))
+
+
+@wp.kernel
+def find_moments(
+    first: int,
+    depth: wp.array2d(dtype=float),  # of one layer
+    chebyshev: Chebyshev,
+    slope_variance: int,
+    moments_out: wp.array2d(dtype=wp.vec2),
+):
+    """Depth and squared depth of each texel of a layer."""
+    row, x = wp.tid()
+    y = first + row
+    last = depth.shape[1] - 1
+    z = normalised(chebyshev, depth[y, x])
+    square = z * z
+    if slope_variance != 0:
+        left = normalised(chebyshev, depth[y, wp.max(x - 1, 0)])
+        right = normalised(chebyshev, depth[y, wp.min(x + 1, last)])
+        above = normalised(chebyshev, depth[wp.max(y - 1, 0), x])
+        below = normalised(chebyshev, depth[wp.min(y + 1, last), x])
+        dx = smaller_step(left, z, right)
+        dy = smaller_step(above, z, below)
+        square += 0.25 * (dx * dx + dy * dy)
+    moments_out[y, x] = wp.vec2(z, square)
+
+
+@wp.kernel
+def find_moments_lanes(
+    first: int,
+    depth: wp.array(dtype=Floats),  # of the map, a run from every texel on
+    chebyshev: Chebyshev,
+    begin: int,  # of the layer
+    pitch: int,
+    resolution: int,
+    moments_out: wp.array(dtype=Pairs),
+):
+    """``find_moments`` of a run of texels, without the slope term; a row's last run begins within the one before."""
+    row, run = wp.tid()
+    at = begin + (first + row) * pitch + wp.min(run * LANES, resolution - LANES)
+    near = chebyshev.near
+    per_length = chebyshev.per_length
+    depths = depth[at]
+    out = Pairs()
+    for k in range(LANES):
+        z = wp.min((depths[k] - near) * per_length, 1.0) - 0.5
+        out[2 * k] = z
+        out[2 * k + 1] = z * z
+    moments_out[2 * at] = out
+
+
+@wp.func
+def lit_share_run(chebyshev: Chebyshev, moments: wp.array(dtype=float), receivers: ReceiverRun, light_map: LightMap):
+    """``lit_share`` of each lane with a receiver from ``sample_bilinear`` at its place, the others' visibility.
+
+    ``moments`` are those of all layers, flat, in the layout of the map.
+    """
+    begin = first_texels(light_map, receivers)
+    pitch = light_map.pitch
+    resolution = light_map.resolution
+    layers = receivers.layer
+    visible = receivers.visible
+    xs = receivers.x
+    ys = receivers.y
+    own = receivers.depth
+    near = chebyshev.near
+    per_length = chebyshev.per_length
+    least = chebyshev.min_variance
+    bleeding = chebyshev.bleeding
+    last = resolution - 1
+    for k in range(LANES):
+        left = wp.floor(xs[k] - 0.5)
+        top = wp.floor(ys[k] - 0.5)
+        x0 = wp.clamp(int(left), 0, last)
+        x1 = wp.clamp(int(left) + 1, 0, last)
+        y0 = begin[k] + wp.clamp(int(top), 0, last) * pitch
+        y1 = begin[k] + wp.clamp(int(top) + 1, 0, last) * pitch
+        fx = xs[k] - 0.5 - left
+        fy = ys[k] - 0.5 - top
+        a = 2 * (y0 + x0)
+        b = 2 * (y0 + x1)
+        c = 2 * (y1 + x0)
+        d = 2 * (y1 + x1)
+        upper = moments[a] * (1.0 - fx) + moments[b] * fx
+        lower = moments[c] * (1.0 - fx) + moments[d] * fx
+        upper_square = moments[a + 1] * (1.0 - fx) + moments[b + 1] * fx
+        lower_square = moments[c + 1] * (1.0 - fx) + moments[d + 1] * fx
+        mean = upper * (1.0 - fy) + lower * fy
+        square = upper_square * (1.0 - fy) + lower_square * fy
+        depth = wp.min((own[k] - near) * per_length, 1.0) - 0.5
+        behind = depth - mean
+        variance = wp.max(square - mean * mean, least)
+        bound = wp.where(behind > 0.0, variance / (variance + behind * behind), 1.0)
+        lit = wp.max(bound - bleeding, 0.0) / (1.0 - bleeding)
+        visible[k] = wp.where(layers[k] >= 0, lit, visible[k])
+    return visible
+
+
+@wp.func
+def sample_bilinear(image: wp.array(dtype=wp.vec2), light_map: LightMap, layer: int, x: float, y: float):
+    """Bilinear lookup at a position in texels, in the layout of a map; beyond a layer's border the nearest repeats."""
+    last = light_map.resolution - 1
+    left = wp.floor(x - 0.5)
+    top = wp.floor(y - 0.5)
+    x0 = wp.clamp(int(left), 0, last)
+    x1 = wp.clamp(int(left) + 1, 0, last)
+    y0 = wp.clamp(int(top), 0, last)
+    y1 = wp.clamp(int(top) + 1, 0, last)
+    fx = x - 0.5 - left
+    fy = y - 0.5 - top
+    row_0 = to_texel(light_map, layer, 0, y0)
+    row_1 = to_texel(light_map, layer, 0, y1)
+    upper = image[row_0 + x0] * (1.0 - fx) + image[row_0 + x1] * fx
+    lower = image[row_1 + x0] * (1.0 - fx) + image[row_1 + x1] * fx
+    return upper * (1.0 - fy) + lower * fy
+
+
+def depth_range(ws_to_ls: np.ndarray, corners_ws: np.ndarray) -> tuple[float, float]:
+    """Least and greatest linear depth of a box in front of a light.
+
+    Args:
+        ws_to_ls: The map's matrices, (layers, 4, 4).
+        corners_ws: Corners of the box, (8, 3), rebased world; none for a scene without meshes.
+
+    Returns:
+        near >= 0 and far > near, scene units, over all layers.
+    """
+    if len(corners_ws) == 0:
+        return 0.0, 1.0
+    depth = corners_ws @ ws_to_ls[:, 2, :3].T + ws_to_ls[:, 2, 3]
+    near, far = max(float(depth.min()), 0.0), max(float(depth.max()), 0.0)
+    return near, max(far, near + 1e-6 * max(near, 1e-6))

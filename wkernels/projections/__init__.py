@@ -1,0 +1,1 @@
+"""Where a light looks: views fitted to what is seen, split, warped or stabilised. Begin with ``light_views``."""

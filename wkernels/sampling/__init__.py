@@ -1,0 +1,1 @@
+"""Point sets, taps on discs, and what an estimate from few tests is worth. Begin with ``point_sets``."""
