@@ -31,7 +31,7 @@ from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.light_maps.receivers import receiver_of_pixel
 from wkernels.raster.gbuffer import PADDING, GBuffer, to_light
 from wkernels.scene.geometry import RECEIVES
-from wkernels.temporal.history_lanes import points_of_run
+from wkernels.light_maps.point_lanes import points_of_run
 
 ANY_DEPTH = 1e30  # as a share of the pixel's own
 

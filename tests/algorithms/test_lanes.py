@@ -279,7 +279,7 @@ OVER_TIME: list[tuple[str, dict[str, Any]]] = [
     ("tc_soft_paper", {"movers": "at_once", "start": "sample"}),
     ("tc_soft_paper", {"ageing": "frames", "age_factor": 0.7}),
     ("tc_soft_paper", {"mover_map": "centre"}),
-    ("tc_soft_paper", {"kept_views": 3, "kept_overlap": 0.97, "importance": 0.5}),
+    ("tc_soft_paper", {"kept_views": 3, "kept_overlap": 0.97}),
     ("tc_soft_thesis", {"mover_map": "centre", "mover_overlap": "max", "mover_taps": 9}),
     ("tc_soft_thesis", {}),
     ("tc_soft_thesis", {"start": "blur", "blocker_mean": "frames", "mover_surfaces": "own_motion"}),

@@ -18,7 +18,7 @@ from wkernels.raster.gbuffer import PADDING, GBuffer
 from wkernels.scene.geometry import CASTS, RECEIVES, Geometry
 from wkernels.scene.lights import Light, SphereLight
 from wkernels.scene.model import Camera
-from wkernels.temporal.history_lanes import points_of_run
+from wkernels.light_maps.point_lanes import points_of_run
 from wkernels.temporal.shadow_buffer.own_umbra import is_own_umbra, own_umbra_run, pull_light_corners
 
 LIGHTS: dict[str, Light] = {

@@ -7,12 +7,13 @@ import warp as wp
 from wkernels.device.lanes import LANES, Floats, Ints
 from wkernels.light_maps.comparison_lanes import first_texels
 from wkernels.light_maps.light_map import BIAS_SLOPE, LightMap
+from wkernels.light_maps.point_lanes import points_of_run
 from wkernels.light_maps.receiver_lanes import LaneViews, locate_run
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.scene.views import View
 from wkernels.temporal.confidence.blending import LEAST_CONFIDENCE
 from wkernels.temporal.confidence.history import ConfidentSettings
-from wkernels.temporal.history_lanes import HistoryRun, PlaceRun, fetch_run, place_run, points_of_run
+from wkernels.temporal.shadow_buffer.record_lanes import HistoryRun, PlaceRun, fetch_run, place_run
 
 
 @wp.kernel

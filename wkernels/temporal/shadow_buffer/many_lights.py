@@ -31,7 +31,8 @@ from wkernels.temporal.shadow_buffer.record import (
     shadow_test,
     write_record,
 )
-from wkernels.temporal.shadow_buffer.update import DISOCCLUDE, FULL_WIDTH_ERROR, UpdateSettings
+from wkernels.temporal.shadow_buffer.rules import DISOCCLUDE, SampledLight, UpdateRules
+from wkernels.temporal.shadow_buffer.update import FULL_WIDTH_ERROR
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec. 709 colours (ITU-R BT.709)
 BLACK_LIGHT = ("light depth map", "the light is black")
@@ -61,8 +62,8 @@ def join_light(
     gbuffer: GBuffer,
     light_map: LightMap,
     footprint: LightFootprint,
-    settings: UpdateSettings,
-    is_last: int,
+    rules: UpdateRules,
+    light: SampledLight,
     texels_out: wp.array2d(dtype=Any),
     psi_depth_out: wp.array2d(dtype=wp.vec2),
     error_out: wp.array2d(dtype=float),
@@ -75,8 +76,8 @@ def join_light(
         gbuffer: Receivers, (H, W).
         light_map: Depths from this light's sample of the frame.
         footprint: The light in that map.
-        settings: As for ``update_shadow_buffer``; its weight and light size are this light's.
-        is_last: 1 for the last light of the frame.
+        rules: As for ``update_shadow_buffer``.
+        light: Whose sample it is.
         texels_out: This frame's texels, in and out.
         psi_depth_out: Hidden share and linear eye depth, out.
         error_out: Its standard error, out.
@@ -87,29 +88,29 @@ def join_light(
     if (gbuffer.flags[y, x] & RECEIVES) != 0:
         position_ws = gbuffer.position_ws[y, x]
         record = read_record(texels_out, y, x, gbuffer.view.far)
-        test = shadow_test(gbuffer, y, x, light_map, settings.bias)
+        test = shadow_test(gbuffer, y, x, light_map, rules.bias)
         if test.blocker_rise > 0.0:
-            known = wp.where(settings.counts_tests != 0, record.n, record.rho) + settings.first_blockers
+            known = wp.where(rules.mean.counts_tests != 0, record.n, record.rho) + rules.mean.first_blockers
             record.blocker_rise = refine_blocker(record.blocker_rise, test.blocker_rise, known)
-        sums = add_test(record.rho, record.n, test.tau, settings.weight, settings.storage.limit)
+        sums = add_test(record.rho, record.n, test.tau, light.weight, rules.counting.limit)
         record.rho = sums[0]
         record.n = sums[1]
         psi = hidden_share(record.rho, record.n)
         error = standard_error(psi, record.n)
         half_width = float(0.0)
-        is_uncertain = record.n < settings.least_samples or error > settings.error_threshold
-        if settings.smooths != 0 and is_uncertain and record.blocker_rise > 0.0:
+        is_uncertain = record.n < rules.smoothing.least_samples or error > rules.smoothing.error_threshold
+        if rules.smoothing.asks != 0 and is_uncertain and record.blocker_rise > 0.0:
             depth = locate(light_map, position_ws)[2]
             ratio = penumbra_ratio(footprint.is_point, depth, depth * (1.0 - record.blocker_rise))
-            own = settings.half_widths * settings.light_size * ratio * pixels_per_length(gbuffer.view, record.depth)
-            if settings.narrows != 0:
+            own = rules.smoothing.half_widths * light.size * ratio * pixels_per_length(gbuffer.view, record.depth)
+            if rules.smoothing.narrows != 0:
                 own = own * wp.min(1.0, error / FULL_WIDTH_ERROR)
             widest = wp.max(wp.abs(half_width_out[y, x]), own)
             half_width = wp.where(half_width_out[y, x] < 0.0, -widest, widest)
-        if settings.has_movers != 0:
+        if rules.movers.tagged != 0:
             if test.moves != 0:
                 record.of_mover = 1
-            if is_last != 0 and record.of_mover != 0 and settings.movers == DISOCCLUDE:
+            if light.is_last != 0 and record.of_mover != 0 and rules.movers.treatment == DISOCCLUDE:
                 depth_vs = record.depth
                 record = ShadowRecord()
                 record.depth = depth_vs

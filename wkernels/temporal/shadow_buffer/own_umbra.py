@@ -13,7 +13,7 @@ from wkernels.frame.session import Session
 from wkernels.light_maps.receiver_lanes import LaneViews
 from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
 from wkernels.scene.geometry import CASTS
-from wkernels.temporal.history_lanes import PointRun
+from wkernels.light_maps.point_lanes import PointRun
 
 
 def pull_light_corners(frame: Session) -> wp.array:

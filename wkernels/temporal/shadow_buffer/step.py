@@ -23,7 +23,6 @@ from wkernels.raster.gbuffer import PADDING, GBuffer
 from wkernels.sampling.estimators import FLOAT32_LIMIT, UNLIMITED
 from wkernels.scene.light_motion import ageing_window, displacement
 from wkernels.scene.lights import Light
-from wkernels.temporal.light_importance import draw_important, learn
 from wkernels.temporal.mesh_motion import pull_mesh_motion
 from wkernels.temporal.shadow_buffer.kept_views import fill_shelf, keep_view, pull_view_shelf
 from wkernels.temporal.shadow_buffer.many_lights import BLACK_LIGHT, JOIN, drawn_light, light_weights
@@ -70,7 +69,6 @@ class StepParams(Protocol):
     least_window: float
     stop_error: float
     stop_samples: int
-    importance: float
     kept_views: int
     kept_overlap: float
 
@@ -127,7 +125,7 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
         not apart and p.movers != "ignore" and (frame.geometry.casters_move or not frame.leave_out(*UNTAGGED))
     )
     out.relative_epsilon, out.texel_steps = out.storage.rounding, HISTORY[p.history]
-    out.half_widths, out.effective_share = 0.5, 1.0
+    out.half_widths = 0.5
     out.movers, out.decrement = int(MOVERS[p.movers]), p.mover_decrement
     if p.mover_surfaces == "own_motion" and frame.geometry.moving and history.previous_index is not None:
         motion = pull_mesh_motion(frame, history.previous_index)
@@ -244,12 +242,8 @@ def _draw(
     frame: Session, step: ShadowStep, settings: UpdateSettings, p: StepParams, slot: Hashable
 ) -> tuple[LightMap, float]:
     """The map of the next point of the light that is asked for, and the point's weight."""
-    if p.importance > 0.0:
-        importance = draw_important(frame, p.sample_set, p.importance)
-        host, weight, settings.effective_share = importance.host, importance.weight, importance.effective_share()
-    else:
-        sample = frame.light_samples(1, p.sample_set, start=frame.count)
-        host, weight = sample.host[0], float(sample.weights_host[0])
+    sample = frame.light_samples(1, p.sample_set, start=frame.count)
+    host, weight = sample.host[0], float(sample.weights_host[0])
     light_map = frame.light_map(
         p.resolution,
         host,
@@ -286,8 +280,6 @@ def _update(
             frame.launch(update_shadow_buffer_lanes, runs, [*flat, *maps, *inputs], outputs)
         else:
             frame.launch(UPDATE[TEXEL_TYPES[p.buffer]], shape, [*maps, *inputs], outputs)
-    if p.importance > 0.0:
-        learn(frame, gbuffer, light_map, settings.bias, step.psi_depth)
 
 
 def end_step(frame: Session, step: ShadowStep, p: StepParams, visibility_out: wp.array) -> None:

@@ -27,77 +27,14 @@ from wkernels.raster.gbuffer import GBuffer
 from wkernels.scene.geometry import MOVES
 from wkernels.scene.lights import Light
 from wkernels.scene.views import View, pixel_along_ws, pixel_base_ws
-from wkernels.temporal.history_lanes import HistoryRun
-from wkernels.temporal.reprojection import accept_absolute, is_inside, reproject
+from wkernels.temporal.reprojection import is_inside, is_same_depth, reproject
 from wkernels.temporal.shadow_buffer.record import TEXEL_TYPES, ShadowRecord, fetch_record, read_record
+from wkernels.temporal.shadow_buffer.record_lanes import HistoryRun
 
 PROBES = (18, 32)  # rows and columns of points by which overlaps are measured
 REDUNDANT = 0.75  # share of a kept buffer's points that another view sees, from which on one of both is enough
 SAME_DEPTH = wp.constant(0.02)  # share of the depth within which a probe is taken for seen: it is a matter of shares
 WELL_KNOWN = 64.0  # tests behind a point from which on more are no reason to keep it
-
-
-@wp.struct
-class KeptViews:
-    """Buffers that were put aside, on the device."""
-
-    count: int
-    texels: wp.array3d(dtype=wp.vec4)  # (slots, H, W)
-    views: wp.array(dtype=View)  # (slots,)
-
-
-@wp.func
-def fetch_kept(
-    kept: KeptViews, position_ws: wp.vec3, normal_ws: wp.vec3, epsilon: float, relative: float, steps: float
-) -> ShadowRecord:
-    """``fetch_record`` of the kept buffer that knows most of a point; n = 0 where none does."""
-    result = ShadowRecord()
-    for i in range(kept.count):
-        held = fetch_record(kept.texels[i], kept.views[i], position_ws, normal_ws, epsilon, relative, steps)
-        if held.n > result.n and held.of_mover == 0:
-            result = held
-    return result
-
-
-@wp.func
-def fetch_kept_run(
-    kept: KeptViews,
-    gbuffer: GBuffer,
-    x0: int,
-    y: int,
-    held: int,
-    wanted: Ints,
-    history: HistoryRun,
-    steps: float,
-    epsilon: float,
-    relative: float,
-):
-    """A run's history, with ``fetch_kept`` in those wanted lanes (1) that the last frame's buffer knows nothing of.
-
-    One pixel at a time: few frames have many such pixels, and each finds its own texels.
-    """
-    rho = history.rho
-    n = history.n
-    rise = history.blocker_rise
-    spread = history.spread
-    of_mover = history.of_mover
-    for k in range(held):
-        if wanted[k] != 0 and n[k] <= 0.0 and of_mover[k] == 0 and (gbuffer.flags[y, x0 + k] & MOVES) == 0:
-            record = fetch_kept(
-                kept, gbuffer.position_ws[y, x0 + k], gbuffer.normal_ws[y, x0 + k], epsilon, relative, steps
-            )
-            if record.n > 0.0:
-                rho[k] = record.rho
-                n[k] = record.n
-                rise[k] = record.blocker_rise
-                spread[k] = record.spread
-    out = HistoryRun()
-    out.rho = rho
-    out.n = n
-    out.blocker_rise = rise
-    out.of_mover = of_mover
-    out.spread = spread
-    return out
 
 
 @wp.kernel
@@ -164,7 +101,7 @@ def see_points(
         at = reproject(view, wp.vec3(point[0], point[1], point[2]))
         if is_inside(view, at[0], at[1]):
             held = read_record(texels, int(at[1]), int(at[0]), view.far)
-            if accept_absolute(at[2], held.depth, SAME_DEPTH * held.depth):
+            if is_same_depth(at[2], held.depth, SAME_DEPTH * held.depth):
                 seen = 1
     seen_out[line, column] = seen
 
