@@ -54,18 +54,23 @@ import warp as wp
 
 from algorithms.projections.composition import Composition
 from algorithms.technique import Limit, MapParams, Needs, Technique, setting
-from wkernels.device.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
+from wkernels.device.structs import filled
 from wkernels.frame.session import Session as Frame
-from wkernels.light_maps.receiver_lanes import lane_views
-from wkernels.raster.gbuffer import PADDING, GBuffer
+from wkernels.raster.gbuffer import GBuffer
 from wkernels.temporal.map_pool.kept_maps import KeptMaps, Schedule
-from wkernels.temporal.map_pool.lanes import pool_views
 from wkernels.temporal.map_pool.mover_maps import MoverMaps, mover_reach
-from wkernels.temporal.map_pool.update import PoolSteps, add_movers, update_sums
-from wkernels.temporal.map_pool.update_lanes import add_movers_lanes, update_sums_lanes
+from wkernels.temporal.map_pool.update import PoolSteps
+from wkernels.temporal.map_pool.update_lanes import ADD_MOVERS, UPDATE_SUMS
+from wkernels.workspace.left_out import Omission
 
-STANDS_STILL = "light depth maps and tests", "the view has stood still for all samples"
-NO_MOVERS = "maps of moving casters", "no caster moves"
+
+class Skip(Omission):
+    """What rest saves."""
+
+    STANDS_STILL = "light depth maps and tests", "the view has stood still for all samples"
+    NO_MOVERS = "maps of moving casters", "no caster moves"
+
+
 NO_LIMIT = 2.0**22  # a quarter of where whole numbers in float32 stop being exact
 
 
@@ -80,7 +85,7 @@ class TcAdaptive(Technique):
         "light_place": "no texel falls on a receiver in whose plane the light lies"
     }
     bias_sign = "none"
-    may_leave_out = (STANDS_STILL, NO_MOVERS)
+    may_leave_out = (Skip.STANDS_STILL, Skip.NO_MOVERS)
     limits = (
         Limit(
             equals="multi_shadow_map",
@@ -160,7 +165,7 @@ class TcAdaptive(Technique):
         wanted = frame, seen, p.draws, p.tests, isinstance(frame.projection, Composition)
         plan = kept.schedule(*wanted)
         if plan.refines and kept.still_frames(frame) >= p.still_samples:
-            if frame.leave_out(*STANDS_STILL):
+            if frame.leave_out(Skip.STANDS_STILL):
                 wp.copy(history.current, history.previous)
                 return visibility
             plan = replace(plan, draws=(), added=0)
@@ -169,18 +174,12 @@ class TcAdaptive(Technique):
 
         # 2: tests of what stands still, added to what each pixel already knows
         steps = self._steps(frame, kept, plan, history.valid)
-        in_lanes, runs = uses_lanes(frame.device), (shape[0], runs_per_row(shape[1]))
         with frame.timed("tests"):
-            inputs = [kept.pool, steps, history.previous_view or gbuffer.view]
-            outputs = [history.current, visibility, error]
-            if in_lanes:
-                views = [lane_views(gbuffer), runs_of(gbuffer.depth, Floats, PADDING), pool_views(kept.pool)]
-                frame.launch(update_sums_lanes, runs, [*views, *inputs, flat_floats(history.previous)], outputs)
-            else:
-                frame.launch(update_sums, shape, [gbuffer, *inputs, history.previous], outputs)
+            inputs = [gbuffer, kept.pool, steps, history.previous_view or gbuffer.view, history.previous]
+            frame.launch(UPDATE_SUMS, shape, inputs, [history.current, visibility, error])
 
         # 3: movers
-        if frame.geometry.casters_move or not frame.leave_out(*NO_MOVERS):
+        if frame.geometry.casters_move or not frame.leave_out(Skip.NO_MOVERS):
             self._add_movers(frame, gbuffer, kept, plan.filled, visibility, error)
         return visibility
 
@@ -202,29 +201,27 @@ class TcAdaptive(Technique):
         shown = frame.geometry.version, points.tobytes()
         movers = frame.product("mover maps", "mover maps", shown, draw).pool
         with frame.timed("mover tests"):
-            inputs = [kept.pool, movers, maps, p.device_bias, mover_reach(frame.light, box), p.even]
-            outputs = [visibility, error]
-            if uses_lanes(frame.device):
-                views = [lane_views(gbuffer), runs_of(gbuffer.depth, Floats, PADDING)]
-                views += [pool_views(kept.pool), pool_views(movers)]
-                runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
-                frame.launch(add_movers_lanes, runs, [*views, *inputs], outputs)
-            else:
-                frame.launch(add_movers, visibility.shape, [gbuffer, *inputs], outputs)
+            inputs = [gbuffer, kept.pool, movers, maps, p.device_bias, mover_reach(frame.light, box), p.even]
+            frame.launch(ADD_MOVERS, visibility.shape, inputs, [visibility, error])
 
     def _steps(self, frame: Frame, kept: KeptMaps, plan: Schedule, has_history: bool) -> PoolSteps:
         p = self.params
-        out = PoolSteps()
-        out.bias, out.filled, out.head = p.device_bias, plan.filled, plan.head
-        out.tests, out.new_tests = p.tests, p.new_tests
-        out.clip, out.limit = p.clip, float(plan.filled)
         still = kept.still_frames(frame) > 0
-        if still:  # nothing drifts
-            out.clip = 0.0
+        tests, limit = p.tests, float(plan.filled)
         if plan.fills and (plan.added or still):  # every map counts once, and the time is needed to draw it
-            out.tests = plan.added
+            tests = plan.added
         if plan.refines:
-            out.tests, out.limit = plan.added, NO_LIMIT
-        out.even, out.has_history = p.even, int(has_history)
-        out.depth_epsilon = p.depth_epsilon * frame.reach
-        return out
+            tests, limit = plan.added, NO_LIMIT
+        return filled(
+            PoolSteps,
+            bias=p.device_bias,
+            head=plan.head,
+            filled=plan.filled,
+            tests=tests,
+            new_tests=p.new_tests,
+            limit=limit,
+            even=p.even,
+            clip=0.0 if still else p.clip,  # where the eye stands still nothing drifts
+            has_history=int(has_history),
+            depth_epsilon=p.depth_epsilon * frame.reach,
+        )

@@ -39,17 +39,20 @@ import numpy as np
 import warp as wp
 
 from algorithms.technique import Limit, MapParams, Needs, Technique, setting
-from wkernels.device.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
+from wkernels.device.structs import filled
 from wkernels.frame.session import Session as Frame
-from wkernels.light_maps.receiver_lanes import lane_views
 from wkernels.projections.jitter import frame_jitter
-from wkernels.raster.gbuffer import PADDING
 from wkernels.temporal.confidence.blending import Blending
-from wkernels.temporal.confidence.history import ConfidentSettings, add_confident_test
-from wkernels.temporal.confidence.history_lanes import add_confident_test_lanes
+from wkernels.temporal.confidence.history import ConfidentSettings
+from wkernels.temporal.confidence.history_lanes import ADD_CONFIDENT_TEST
 from wkernels.temporal.shadow_buffer.record import BILINEAR, NEAREST
+from wkernels.workspace.left_out import Omission
 
-UNTAGGED = "tags of moving casters", "no caster moves"
+
+class Skip(Omission):
+    """What a scene without movers saves."""
+
+    UNTAGGED = "tags of moving casters", "no caster moves"
 
 
 class TcHard(Technique):
@@ -61,7 +64,7 @@ class TcHard(Technique):
     needs = Needs(history=True)
     hard = True
     bias_sign = "none"
-    may_leave_out = (UNTAGGED,)
+    may_leave_out = (Skip.UNTAGGED,)
     limits = (
         Limit(equals="shadow_map", params={"jitter": 0.0, "overscan": 0.0}, frames=8),
         # the first frame: nothing is known, no jitter yet
@@ -166,32 +169,32 @@ class TcHard(Technique):
         )
         tags = p.movers == "reset"
         if tags and not frame.geometry.casters_move:
-            tags = not frame.leave_out(*UNTAGGED)
+            tags = not frame.leave_out(Skip.UNTAGGED)
         seed = 0 if frame.seed == 1 else frame.seed + 1
         jitter = frame_jitter(p.sample_set, frame.count, p.jitter, np.radians(p.rotation), seed)
         light_map = frame.light_map(p.resolution, cull=p.cull, tag_moving_casters=tags, jitter=jitter)
         with frame.timed("hard shadows over time"):
-            inputs = [gbuffer, light_map, self._settings(history.valid)]
+            inputs = [gbuffer, light_map.map, self._settings(history.valid)]
             inputs += [history.previous_view or gbuffer.view, history.previous]
-            outputs = [history.current, visibility]
-            if uses_lanes(frame.device):
-                flat = [lane_views(gbuffer, light_map), runs_of(gbuffer.depth, Floats, PADDING)]
-                flat.append(flat_floats(history.previous))
-                runs = (shape[0], runs_per_row(shape[1]))
-                frame.launch(add_confident_test_lanes, runs, [*flat, *inputs], outputs)
-            else:
-                frame.launch(add_confident_test, shape, inputs, outputs)
+            frame.launch(ADD_CONFIDENT_TEST, shape, inputs, [history.current, visibility])
         return visibility
 
     def _settings(self, has_history: bool) -> ConfidentSettings:
         p = self.params
-        out = ConfidentSettings()
-        out.bias, out.has_history, out.depth_epsilon = p.device_bias, int(has_history), p.depth_epsilon
-        out.scales_bias = int(p.scale_bias)
-        out.texel_steps = BILINEAR if p.history == "bilinear" else NEAREST
-        blending = Blending()
-        blending.power, blending.growth = p.power, p.growth
-        blending.memory, blending.blur = p.memory, p.blur**2
-        blending.recursive = int(p.blend == "published")
-        out.blending = blending
-        return out
+        blending = filled(
+            Blending,
+            power=p.power,
+            growth=p.growth,
+            memory=p.memory,
+            recursive=int(p.blend == "published"),
+            blur=p.blur**2,
+        )
+        return filled(
+            ConfidentSettings,
+            bias=p.device_bias,
+            scales_bias=int(p.scale_bias),
+            blending=blending,
+            has_history=int(has_history),
+            depth_epsilon=p.depth_epsilon,
+            texel_steps=BILINEAR if p.history == "bilinear" else NEAREST,
+        )

@@ -11,15 +11,6 @@ import small_scenes as small
 import warp as wp
 from compare import assert_twin
 from test_shadow_buffer import EYE, HEIGHT, WIDTH, fetch_twin, ground_depth, ray
-
-from algorithms.plugins import find
-from wkernels.device.lanes import uses_lanes
-from wkernels.device.launch import launch
-from wkernels.frame.session import Session
-from wkernels.scene.geometry import Geometry
-from wkernels.scene.model import Camera, Scene
-from wkernels.scene.views import View
-from wkernels.temporal.shadow_buffer import step as shadow_buffer_step
 from wkernels.temporal.shadow_buffer.kept_views import (
     PROBE,
     PUT_ASIDE,
@@ -29,6 +20,15 @@ from wkernels.temporal.shadow_buffer.kept_views import (
     fetch_kept,
     pull_view_shelf,
 )
+
+from algorithms.plugins import find
+from wkernels.device.lanes import uses_lanes
+from wkernels.device.launch import launch
+from wkernels.frame.session import Session
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.model import Camera, Scene
+from wkernels.scene.views import View
+from wkernels.temporal.shadow_buffer import step as shadow_buffer_step
 from wkernels.temporal.shadow_buffer.record import BILINEAR, TEXEL_TYPES
 
 STEPS = int(BILINEAR)

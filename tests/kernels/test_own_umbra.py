@@ -13,12 +13,12 @@ from algorithms.plugins import find
 from wkernels.device.lanes import LANES, Floats, runs_of, runs_per_row, uses_lanes
 from wkernels.device.launch import launch
 from wkernels.frame.session import Session
+from wkernels.light_maps.point_lanes import points_of_run
 from wkernels.light_maps.receiver_lanes import LaneViews, lane_views
 from wkernels.raster.gbuffer import PADDING, GBuffer
 from wkernels.scene.geometry import CASTS, RECEIVES, Geometry
 from wkernels.scene.lights import Light, SphereLight
 from wkernels.scene.model import Camera
-from wkernels.light_maps.point_lanes import points_of_run
 from wkernels.temporal.shadow_buffer.own_umbra import is_own_umbra, own_umbra_run, pull_light_corners
 
 LIGHTS: dict[str, Light] = {

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 
 
-def filled(kind: Callable[[], T], **fields: Any) -> T:
+def filled(kind: Callable[[], T], /, **fields: Any) -> T:
     """A struct with all of its fields.
 
     Args:

@@ -6,8 +6,8 @@ import warp as wp
 
 from wkernels.device.lanes import LANES, Floats, Ints, flat_floats
 from wkernels.light_maps.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL, BIAS_SLOPE, ROUNDING, Bias
-from wkernels.scene.geometry import CASTS
 from wkernels.light_maps.point_lanes import PointRun
+from wkernels.scene.geometry import CASTS
 from wkernels.temporal.map_pool.pool import CONSTANTS, EDGE_ON, TILE, MapPool
 
 

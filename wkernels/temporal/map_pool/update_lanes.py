@@ -4,15 +4,26 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, Ints
+from wkernels.device.lanes import LANES, Floats, Ints, flat_floats, runs_of
+from wkernels.device.twin import Twin
 from wkernels.light_maps.light_map import Bias
 from wkernels.light_maps.point_lanes import PointRun, points_of_run
-from wkernels.light_maps.receiver_lanes import LaneViews
+from wkernels.light_maps.receiver_lanes import LaneViews, lane_views
+from wkernels.raster.gbuffer import PADDING
 from wkernels.scene.views import View
 from wkernels.temporal.map_pool.carried_history import CODES, FARTHEST, STEPS
-from wkernels.temporal.map_pool.lanes import PoolViews, casting_run, pool_test_run
+from wkernels.temporal.map_pool.lanes import PoolViews, casting_run, pool_test_run, pool_views
 from wkernels.temporal.map_pool.pool import MapPool
-from wkernels.temporal.map_pool.update import BORDER, PRIOR, MoverReach, PoolSteps, hidden_variance, map_at
+from wkernels.temporal.map_pool.update import (
+    BORDER,
+    PRIOR,
+    MoverReach,
+    PoolSteps,
+    add_movers,
+    hidden_variance,
+    map_at,
+    update_sums,
+)
 from wkernels.temporal.reprojection_lanes import depths_on_planes, reproject_run
 
 
@@ -157,6 +168,23 @@ def update_sums_lanes(
         error_out[y, x0 + k] = error[k]
 
 
+UPDATE_SUMS = Twin(
+    update_sums,
+    update_sums_lanes,
+    inputs=lambda gbuffer, pool, steps, view, previous: [
+        lane_views(gbuffer),
+        runs_of(gbuffer.depth, Floats, PADDING),
+        pool_views(pool),
+        pool,
+        steps,
+        view,
+        flat_floats(previous),
+    ],
+    tolerance=1e-4,
+    flips=0.01,
+)
+
+
 @wp.func
 def reached_lanes(reach: MoverReach, points: PointRun):
     """``may_reach`` of the lanes that receive, as 0 and 1."""
@@ -238,3 +266,20 @@ def add_movers_lanes(
                 visibility[y, x0 + k] = wp.max(visibility[y, x0 + k] - hidden[k] / total, 0.0)
                 more = hidden_variance(hidden[k], total, even)
                 error[y, x0 + k] = wp.sqrt(error[y, x0 + k] * error[y, x0 + k] + more)
+
+
+ADD_MOVERS = Twin(
+    add_movers,
+    add_movers_lanes,
+    inputs=lambda gbuffer, pool, movers, *others: [
+        lane_views(gbuffer),
+        runs_of(gbuffer.depth, Floats, PADDING),
+        pool_views(pool),
+        pool_views(movers),
+        pool,
+        movers,
+        *others,
+    ],
+    tolerance=1e-4,
+    flips=0.01,
+)

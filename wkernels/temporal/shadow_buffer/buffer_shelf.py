@@ -13,23 +13,21 @@ thread, and the first one back 4 to 14 %.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from wkernels.device.lanes import Ints
+from wkernels.device.structs import filled
 from wkernels.frame.history import History
-from wkernels.frame.session import Session
-from wkernels.raster.gbuffer import GBuffer
-from wkernels.scene.geometry import MOVES
 from wkernels.scene.lights import Light
 from wkernels.scene.views import View, pixel_along_ws, pixel_base_ws
 from wkernels.temporal.reprojection import is_inside, is_same_depth, reproject
-from wkernels.temporal.shadow_buffer.record import TEXEL_TYPES, ShadowRecord, fetch_record, read_record
-from wkernels.temporal.shadow_buffer.record_lanes import HistoryRun
+from wkernels.temporal.shadow_buffer.earlier_buffers import EarlierBuffers
+from wkernels.temporal.shadow_buffer.record import TEXEL_TYPES, read_record
+from wkernels.workspace.workspace import Workspace
 
 PROBES = (18, 32)  # rows and columns of points by which overlaps are measured
 REDUNDANT = 0.75  # share of a kept buffer's points that another view sees, from which on one of both is enough
@@ -109,10 +107,10 @@ def see_points(
 SEE = {texel: wp.overload(see_points, {"texels": wp.array2d(dtype=texel)}) for texel in TEXEL_TYPES.values()}
 
 
-def seen_share(frame: Session, points: wp.array, texels: wp.array, view: View) -> float:
+def seen_share(work: Workspace, points: wp.array, texels: wp.array, view: View) -> float:
     """Share of ``probe_points`` that the buffer ``texels`` of ``view`` shows; 1 of none."""
-    seen = frame.buffer("seen probes", points.shape, wp.int32)
-    frame.launch(SEE[texels.dtype], points.shape, [points, texels, view], [seen])
+    seen = work.buffer("seen probes", points.shape, wp.int32)
+    work.launch(SEE[texels.dtype], points.shape, [points, texels, view], [seen])
     known = seen.numpy()[seen.numpy() >= 0]
     return float(known.mean()) if known.size else 1.0
 
@@ -138,7 +136,7 @@ class PutAside:
 
 
 @dataclass
-class ViewShelf:
+class BufferShelf:
     """What is kept from frame to frame.
 
     Attributes:
@@ -152,11 +150,11 @@ class ViewShelf:
         decided: Count of the frame that decided last.
     """
 
-    on_device: KeptViews = field(default_factory=KeptViews)
+    on_device: EarlierBuffers = field(default_factory=EarlierBuffers)
     views: list[View] = field(default_factory=list)
     points: list[wp.array] = field(default_factory=list)
     anchor: wp.array | None = None
-    lights: Hashable = None
+    lights: tuple[Light, ...] = ()
     leaving: PutAside | None = None
     decided: int = -1
 
@@ -178,39 +176,39 @@ class ViewShelf:
         return slot if knowledge >= known[slot] else None
 
 
-def pull_view_shelf(frame: Session, lights: Sequence[Light]) -> ViewShelf:
+def pull_shelf(work: Workspace, lights: Sequence[Light]) -> BufferShelf:
     """What earlier frames have put aside; nothing once one of the lights that its sums are of has changed."""
-    sums_of = tuple((light.hull.tobytes(), light.centre.tobytes(), tuple(light.radiance)) for light in lights)
+    sums_of = tuple(lights)  # one that moves becomes another
 
-    def build(old: ViewShelf | None) -> ViewShelf:
-        return old if old is not None and old.lights == sums_of else ViewShelf(lights=sums_of)
+    def build(old: BufferShelf | None) -> BufferShelf:
+        return old if old is not None and old.lights == sums_of else BufferShelf(lights=sums_of)
 
-    shelf: ViewShelf = frame.product("kept views", "kept views", (frame.count, sums_of), build)
+    shelf: BufferShelf = work.product("kept views", "kept views", (work.count, sums_of), build)
     return shelf
 
 
-def fill_shelf(frame: Session, shelf: ViewShelf, history: History) -> KeptViews:
+def fill_shelf(work: Workspace, shelf: BufferShelf, history: History) -> EarlierBuffers:
     """Puts aside what the last frame decided to, before this one writes to ``history.current``, where it still lies."""
     leaving, texels = shelf.leaving, history.current
-    if leaving is not None and shelf.decided == frame.count - 1:
-        kept = frame.buffer("kept views", (leaving.slots, *texels.shape), wp.vec4)
-        frame.launch(PUT_ASIDE[texels.dtype], texels.shape, [texels, leaving.slot], [kept])
+    if leaving is not None and shelf.decided == work.count - 1:
+        kept = work.buffer("kept views", (leaving.slots, *texels.shape), wp.vec4)
+        work.launch(PUT_ASIDE[texels.dtype], texels.shape, [texels, leaving.slot], [kept])
         shelf.views[leaving.slot : leaving.slot + 1] = [leaving.view]
         shelf.points[leaving.slot : leaving.slot + 1] = [leaving.points]
-        shelf.on_device.count, shelf.on_device.texels = len(shelf.views), kept
-        shelf.on_device.views = wp.array(shelf.views, dtype=View, device=frame.device)
-    if shelf.decided < frame.count:
+        views = wp.array(shelf.views, dtype=View, device=work.device)
+        shelf.on_device = filled(EarlierBuffers, count=len(shelf.views), texels=kept, views=views)
+    if shelf.decided < work.count:
         shelf.leaving = None
     return shelf.on_device
 
 
-def keep_view(frame: Session, shelf: ViewShelf, history: History, view: View, slots: int, overlap: float) -> None:
+def keep_buffer(work: Workspace, shelf: BufferShelf, history: History, view: View, slots: int, overlap: float) -> None:
     """Has the last frame's buffer put aside if this frame's, which must be written, shows too little of it.
 
     Reads some hundred numbers back from the device.
 
     Args:
-        frame: Being rendered.
+        work: The frame that is rendered.
         shelf: Of the same frame.
         history: Its shadow buffer, a key of ``TEXEL_TYPES``.
         view: Of ``history.current``.
@@ -218,19 +216,19 @@ def keep_view(frame: Session, shelf: ViewShelf, history: History, view: View, sl
         overlap: Share of what was seen, by the last frame or since a buffer was put aside last, below which it is.
     """
     previous, before = history.previous, history.previous_view
-    if not history.valid or before is None or shelf.decided == frame.count:
+    if not history.valid or before is None or shelf.decided == work.count:
         return
-    shelf.decided = frame.count
-    points = frame.buffer("probes of a view", PROBES, wp.vec4)
-    frame.launch(PROBE[previous.dtype], PROBES, [previous, before], [points])
+    shelf.decided = work.count
+    points = work.buffer("probes of a view", PROBES, wp.vec4)
+    work.launch(PROBE[previous.dtype], PROBES, [previous, before], [points])
     if shelf.anchor is None:
         shelf.anchor = wp.clone(points)
-    seen = [seen_share(frame, probes, history.current, view) for probes in (points, shelf.anchor)]
+    seen = [seen_share(work, probes, history.current, view) for probes in (points, shelf.anchor)]
     if min(seen) >= overlap:
         return
     shelf.anchor = None
-    overlaps = [seen_share(frame, probes, previous, before) for probes in shelf.points]
-    taken_over = [seen_share(frame, probes, history.current, view) for probes in shelf.points]
+    overlaps = [seen_share(work, probes, previous, before) for probes in shelf.points]
+    taken_over = [seen_share(work, probes, history.current, view) for probes in shelf.points]
     slot = shelf.choose(_knowledge(points), overlaps, taken_over, slots)
     if slot is not None:
         shelf.leaving = PutAside(slot, slots, before, wp.clone(points))

@@ -10,7 +10,8 @@ sum of squares): that is by how much n grows a frame, from 1 for a single light 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,10 +19,12 @@ import warp as wp
 
 from wkernels.filters.neighbourhood_filter import pixels_per_length
 from wkernels.filters.penumbra import LightFootprint, penumbra_ratio
+from wkernels.frame.session import Session
 from wkernels.light_maps.light_map import LightMap, locate
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.sampling.estimators import add_test, hidden_share, standard_error
 from wkernels.scene.geometry import RECEIVES
+from wkernels.scene.light_motion import ageing_window, displacement
 from wkernels.scene.lights import Light
 from wkernels.temporal.shadow_buffer.record import (
     TEXEL_TYPES,
@@ -33,9 +36,17 @@ from wkernels.temporal.shadow_buffer.record import (
 )
 from wkernels.temporal.shadow_buffer.rules import DISOCCLUDE, SampledLight, UpdateRules
 from wkernels.temporal.shadow_buffer.update import FULL_WIDTH_ERROR
+from wkernels.workspace.left_out import Omission
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec. 709 colours (ITU-R BT.709)
-BLACK_LIGHT = ("light depth map", "the light is black")
+
+
+class Lights(Omission):
+    """What a light saves."""
+
+    BLACK_LIGHT = ("light depth map", "the light is black")
+
+
 GOLDEN = 0.6180339887498949
 
 
@@ -54,6 +65,46 @@ def drawn_light(weights: np.ndarray, frame: int) -> int:
     A test of it then weighs w_l / p_l = 1.
     """
     return int(np.searchsorted(np.cumsum(weights)[:-1], np.mod(0.5 + GOLDEN * frame, 1.0), side="right"))
+
+
+@dataclass(frozen=True)
+class LightTurn:
+    """One light's map in a frame.
+
+    Attributes:
+        light: Whose it is, rebased world.
+        weight: Of a test in it: by how much n grows.
+        slot: What tells the map from those of other turns.
+    """
+
+    light: Light
+    weight: float
+    slot: Hashable
+
+
+def seen_lights(frame: Session, lights: str) -> list[int]:
+    """The lights that psi is of: the one that is ``asked`` for, or else all."""
+    return [frame.lights.index] if lights == "asked" else list(range(len(frame.lights.lights)))
+
+
+def light_turns(frame: Session, seen: Sequence[int], lights: str) -> list[LightTurn]:
+    """Whose maps a frame draws for a psi of these lights: one that is ``drawn``, or of each, the brightest first."""
+    held = [frame.lights.lights[i] for i in seen]
+    if len(held) == 1:
+        return [LightTurn(held[0], 1.0, "centre")]
+    weights = light_weights(held)
+    if lights == "drawn":
+        return [LightTurn(held[drawn_light(weights, frame.count)], 1.0, "centre")]
+    worth = 1.0 / float((weights**2).sum())
+    order = [int(i) for i in np.argsort(-weights, kind="stable")]
+    order = [i for i in order if weights[i] > 0.0 or not frame.leave_out(Lights.BLACK_LIGHT)]
+    return [LightTurn(held[i], float(weights[i]) * worth, i) for i in order]
+
+
+def light_window(frame: Session, seen: Sequence[int], then: int, ageing: str, factor: float, reach: float) -> float:
+    """``ageing_window`` since frame ``then``, in frames: as the one of these lights that has gone furthest wants it."""
+    moved = max(displacement(frame.lights.lights[i], frame.lights.at(then, i)) for i in seen)
+    return ageing_window(moved, ageing, factor, reach)
 
 
 @wp.kernel

@@ -147,9 +147,7 @@ def recall_run(
     ``flat_previous`` is flat (4 H W,).
     """
     places = place_run(previous_view, points, wanted, recall.texel_steps)
-    history = fetch_run(
-        flat_previous, previous_view, points, places, recall.depth_epsilon, recall.relative_epsilon
-    )
+    history = fetch_run(flat_previous, previous_view, points, places, recall.depth_epsilon, recall.relative_epsilon)
     if recall.earlier.count > 0:
         history = fetch_earlier_run(
             recall.earlier,

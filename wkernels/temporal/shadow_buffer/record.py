@@ -8,7 +8,7 @@ sign of the eye depth tags a shadow that a moving caster cast (Schwaerzler 2009,
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import warp as wp
 
@@ -48,12 +48,16 @@ class ShadowTest:
     receiver: Receiver  # layer -1 where no lookup was needed or possible
 
 
-@wp.struct
-class Storage:
-    """What a texel type can hold."""
+class Storage(NamedTuple):
+    """What a texel type can hold.
 
-    limit: float  # largest n, see ``estimators.add_test``
-    rounding: float  # relative error of a stored depth
+    Attributes:
+        limit: Largest n, see ``estimators.add_test``.
+        rounding: Relative error of a stored depth.
+    """
+
+    limit: float
+    rounding: float
 
 
 TEXEL_TYPES: dict[str, type] = {"float32": wp.vec4, "float16": wp.vec4h}
@@ -62,12 +66,8 @@ TEXEL_TYPES: dict[str, type] = {"float32": wp.vec4, "float16": wp.vec4h}
 
 def storage_of(format: str, cap: bool = True) -> Storage:
     """Limits of a format, a key of ``TEXEL_TYPES``; without ``cap`` n grows until the format sticks, as published."""
-    out = Storage()
-    half = format == "float16"
-    out.limit, out.rounding = (FLOAT16_LIMIT, 2.0**-11) if half else (FLOAT32_LIMIT, 2.0**-24)
-    if not cap:
-        out.limit = UNLIMITED
-    return out
+    limit, rounding = (FLOAT16_LIMIT, 2.0**-11) if format == "float16" else (FLOAT32_LIMIT, 2.0**-24)
+    return Storage(limit if cap else UNLIMITED, rounding)
 
 
 @wp.func

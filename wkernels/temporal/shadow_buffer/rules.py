@@ -1,7 +1,7 @@
-"""What is done with a frame's shadow tests: one small struct for each question, made whole (``filled``) and not changed.
+"""What is done with a frame's shadow tests: small structs, each made whole (``filled``) and not changed.
 
-Sources: Scherzer et al. 2009, sections 3.1 to 3.4; Schwaerzler 2009, section 5.2 and appendix A. What they differ in is a
-value here.
+Sources: Scherzer et al. 2009, sections 3.1 to 3.4; Schwaerzler 2009, section 5.2 and appendix A. What they differ in is
+a value here.
 """
 
 from __future__ import annotations

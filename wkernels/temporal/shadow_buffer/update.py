@@ -184,7 +184,7 @@ def update_shadow_buffer(
     )
 
 
-UPDATE = {
+UPDATE_PLAIN = {
     texel: wp.overload(
         update_shadow_buffer, {"previous": wp.array2d(dtype=texel), "current_out": wp.array2d(dtype=texel)}
     )

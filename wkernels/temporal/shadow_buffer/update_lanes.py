@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, Ints
+from wkernels.device.lanes import LANES, Floats, Ints, flat_floats, runs_of
+from wkernels.device.twin import Twin
 from wkernels.filters.penumbra import NEAREST_BLOCKER, LightFootprint
+from wkernels.filters.penumbra_lanes import flat_half_axes
 from wkernels.light_maps.comparison_lanes import first_texels
 from wkernels.light_maps.layer_lanes import to_layers
 from wkernels.light_maps.light_map import LightMap
 from wkernels.light_maps.point_lanes import PointRun, points_of_run
-from wkernels.light_maps.receiver_lanes import LaneViews, locate_run
-from wkernels.raster.gbuffer import GBuffer
+from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
+from wkernels.raster.gbuffer import PADDING, GBuffer
 from wkernels.sampling.estimators import NO_WINDOW
 from wkernels.scene.views import View
 from wkernels.temporal.sample_window import SAME
@@ -26,7 +28,7 @@ from wkernels.temporal.shadow_buffer.record_lanes import HistoryRun
 from wkernels.temporal.shadow_buffer.rules import DISOCCLUDE, SampledLight, UpdateRules
 from wkernels.temporal.shadow_buffer.start import START_PCSS, START_SAMPLE
 from wkernels.temporal.shadow_buffer.start_lanes import start_run
-from wkernels.temporal.shadow_buffer.update import FULL_WIDTH_ERROR, update_pixel
+from wkernels.temporal.shadow_buffer.update import FULL_WIDTH_ERROR, UPDATE_PLAIN, update_pixel
 
 
 @wp.func
@@ -246,3 +248,23 @@ def update_shadow_buffer_lanes(
                     error_out,
                     half_width_out,
                 )
+
+
+def _in_lanes(gbuffer: GBuffer, light_map: LightMap, footprint: LightFootprint, *rules: object) -> list:
+    *_, previous = rules
+    views = [lane_views(gbuffer, light_map), runs_of(gbuffer.depth, Floats, PADDING), flat_floats(previous)]
+    return [*views, gbuffer, light_map, footprint, flat_half_axes(footprint), *rules]
+
+
+UPDATE: dict[type, wp.Kernel | Twin] = {
+    **UPDATE_PLAIN,
+    wp.vec4: Twin(
+        UPDATE_PLAIN[wp.vec4],
+        update_shadow_buffer_lanes,
+        inputs=_in_lanes,
+        fits=lambda gbuffer, light_map, footprint, rules, *_: rules.recall.texel_steps > 0.0,
+        tolerance=1e-4,
+        flips=0.01,
+    ),
+}
+"""What updates, by texel type."""
