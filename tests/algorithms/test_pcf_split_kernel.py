@@ -44,7 +44,7 @@ def softness(name: str, projection: dict[str, Any], light: Light = SUN, **params
     world = result.world_position.astype(float)
     place = world - frame.geometry.origin_ws
     depth, width, split = [], [], []
-    ends = [view.choice.far for view in frame.light_views[0]]  # type: ignore[index, union-attr]
+    ends = [view.choice.far for view in frame.shown.views]  # type: ignore[index, union-attr]
     for row in range(128):
         near = np.abs(world[row, :, 0]) < 4.0  # the edge lies on x = 0
         lit, x = result.visibility[row, near], world[row, near, 0]
@@ -67,7 +67,7 @@ def by_split(width: np.ndarray, split: np.ndarray) -> list[float]:
 def texel_sizes(projection: dict[str, Any]) -> np.ndarray:
     frame = session(long_edge(SUN), size=(64, 64), projection=compose(projection))
     frame.light_map(R)
-    views, sample = frame.light_views  # type: ignore[misc]
+    views, sample = frame.shown.views, frame.shown.light_ws  # type: ignore[misc]
     return 1.0 / layer_densities(views, sample, np.zeros(3))[:, 0]
 
 
@@ -115,7 +115,7 @@ def test_densities_are_finite_differences_of_the_views() -> None:
     for sample in (light, np.array([0.0, 1.0, 0.0, 0.0])):
         frame = session(long_edge(SUN), size=(64, 48), projection=compose({**SPLITS, "warp": "lispsm_nopt"}))
         frame.light_map(R, sample)
-        views = frame.light_views[0]  # type: ignore[index]
+        views = frame.shown.views  # type: ignore[index]
         found = layer_densities(views, sample, np.zeros(3))
         for view, density in zip(views, found, strict=True):
             rows = view.ws_to_ss

@@ -8,8 +8,9 @@ import small_scenes
 import warp as wp
 
 from wkernels.device.lanes import uses_lanes
+from wkernels.frame import near_plane
 from wkernels.frame.near_plane import least_depth
-from wkernels.frame.session import Session, near_plane
+from wkernels.frame.session import Session
 from wkernels.light_maps import depth_clamp
 from wkernels.light_maps.depth_clamp import clamp_casters
 from wkernels.scene.geometry import Geometry
