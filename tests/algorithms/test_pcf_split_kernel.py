@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 import small_scenes as small
-from filtering_sessions import INSIDE, OPTIONS, render, session, technique
+from filtering_sessions import session, technique
 
-from algorithms.filtering import pcf_split_kernel
 from algorithms.projections.composition import compose
-from wkernels.device.lanes import uses_lanes
 from wkernels.filters.layer_density import layer_densities
 from wkernels.scene.lights import DirectionalLight, Light, PointLight
 from wkernels.scene.model import Camera, Scene
@@ -126,24 +124,3 @@ def test_densities_are_finite_differences_of_the_views() -> None:
                 ends = np.stack([middle - 1e-4 * axis, middle + 1e-4 * axis])
                 h = ends @ rows[:, :3].T + rows[:, 3]
                 assert abs(np.diff(h[:, row] / h[:, 3])[0]) * 0.5 * R / 2e-4 == pytest.approx(value, rel=1e-5)
-
-
-@pytest.mark.parametrize("params", [{}, {"scale": "layer", "taps": 16}, {"kernel": "box", "bilinear": False}])
-@pytest.mark.parametrize("lamp", [small.light("rectangle"), small.light("directional"), INSIDE])
-@pytest.mark.parametrize("width", [63, 130])
-def test_lanes_are_the_plain_kernel(
-    params: dict[str, Any], lamp: Light, width: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if not uses_lanes(OPTIONS["device"]):
-        pytest.skip("lane kernels run on the CPU only")
-    images = []
-    for lanes in (False, True):
-        monkeypatch.setattr(pcf_split_kernel, "uses_lanes", lambda device, lanes=lanes: lanes)
-        result = render(
-            small.cluttered(lamp), "pcf_split_kernel", size=(width, 40), resolution=256, diameter=0.3, **params
-        )
-        images.append(result.visibility)
-    differs = np.nan_to_num(np.abs(images[0] - images[1])) > 1e-6
-    # ties, where the compiler fuses other multiplications with additions
-    assert np.mean(differs) <= 1e-3, f"{differs.sum()} pixels differ"
-    np.testing.assert_array_equal(np.isnan(images[0]), np.isnan(images[1]))

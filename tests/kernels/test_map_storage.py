@@ -125,7 +125,7 @@ def test_unused_tiles_are_neither_cleared_nor_drawn(device: str) -> None:
 def test_a_map_takes_what_its_storage_says(device: str) -> None:
     texels = {}
     for storage in ("separate", "array", "atlas4", "atlas9", "atlas16"):
-        light_map = session(SUN, device, storage=storage, **SPLIT).light_map(40)
+        light_map = session(SUN, device, storage=storage, **SPLIT).light_map(40).map
         texels[storage] = layout_of(light_map).texels / 40**2
         assert light_map.depth.size == layout_of(light_map).texels
     layers = light_map.layers
