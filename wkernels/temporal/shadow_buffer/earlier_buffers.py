@@ -1,4 +1,4 @@
-"""Reading shadow buffers of earlier views: what is new to the last frame's may be known to one of them (``buffer_shelf``)."""
+"""Reading shadow buffers of earlier views: one of them may know what is new to the last frame's (``buffer_shelf``)."""
 
 from __future__ import annotations
 
