@@ -55,8 +55,11 @@ STILL: list[tuple[str, dict[str, Any]]] = [
 ]
 OVER_TIME: list[tuple[str, dict[str, Any]]] = [
     ("tc_hard", {}),
-    ("tc_hard", {"movers": "reset", "history": "nearest"}),
+    ("tc_hard", {"scale_bias": True}),
+    ("tc_hard", {"blend": "published", "power": 4}),
+    ("tc_hard", {"history": "nearest", "bias": "normal"}),
     ("tc_adaptive", {}),
+    ("tc_adaptive", {"samples": 8}),
     ("tc_soft_paper", {}),
     ("tc_soft_paper", {"start": "sample"}),
     ("tc_soft_paper", {"history": "nearest", "filter_width": "penumbra"}),

@@ -91,11 +91,11 @@ class ShadowBufferTechnique(Technique):
             bias=p.device_bias,
             # what turns away from one light may face another: their tests tell
             light_corners=pull_light_corners(frame, frame.lights.lights[step.seen[0]]) if turned_away else None,
-            recall=self._recall(frame, step, epsilon, relative),
-            movers=self._movers(frame, step),
+            recall=self.recall(frame, step, epsilon, relative),
+            movers=self.mover_rule(frame, step),
             start=start,
             mean=mean,
-            counting=self._counting(frame, step),
+            counting=self.counting(frame, step),
             smoothing=smoothing,
         )
         add_samples(frame, step, rules, resolution=p.resolution, sample_set=p.sample_set, cull=p.cull)
@@ -108,7 +108,8 @@ class ShadowBufferTechnique(Technique):
             way = {"resolution": p.resolution, "cull": p.cull, "bias": p.device_bias, "taps": p.mover_taps}
             add_mover_shadows(frame, step.gbuffer, step.visibility, step.error, overlap=p.mover_overlap, **way)
 
-    def _recall(self, frame: Frame, step: ShadowStep, epsilon: float, relative: float) -> Recall:
+    def recall(self, frame: Frame, step: ShadowStep, epsilon: float, relative: float) -> Recall:
+        """Where history is looked for; arguments as for ``add_samples``."""
         p = self.params
         return recall_from(
             frame,
@@ -120,7 +121,8 @@ class ShadowBufferTechnique(Technique):
             followed_samples=p.mover_samples if p.mover_surfaces == "own_motion" else 0.0,
         )
 
-    def _movers(self, frame: Frame, step: ShadowStep) -> MoverRule:
+    def mover_rule(self, frame: Frame, step: ShadowStep) -> MoverRule:
+        """What becomes of movers' shadows."""
         p = self.params
         tags = not step.apart and p.movers != "ignore"
         if tags and not frame.geometry.casters_move:
@@ -131,7 +133,8 @@ class ShadowBufferTechnique(Technique):
             MoverRule, tagged=int(tags), treatment=int(MOVERS[p.movers]), decrement=p.mover_decrement + joined
         )
 
-    def _counting(self, frame: Frame, step: ShadowStep) -> Counting:
+    def counting(self, frame: Frame, step: ShadowStep) -> Counting:
+        """For how long tests count."""
         p, then = self.params, step.history.previous_index
         window = filled(
             SampleWindow,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import sys
 from dataclasses import replace
 from typing import Any
 
@@ -13,8 +12,6 @@ import small_scenes as small
 
 from algorithms.plugins import find
 from algorithms.projections.composition import compose
-from experiments.scenes.loader import load_scene
-from wkernels.device.lanes import uses_lanes
 from wkernels.frame.session import FrameResult, Session
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.lights import DiscLight, Light
@@ -57,33 +54,6 @@ def truth(scene: Scene, device: str, frame: int = 0, samples: int = 1024) -> np.
 
 def rmse(actual: np.ndarray, expected: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean((actual - expected) ** 2)))
-
-
-# ---- the pool -----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", ["overlap", "moving_blocker"])
-def test_lanes_remember_what_the_plain_kernels_do(name: str, monkeypatch: pytest.MonkeyPatch, device: str) -> None:
-    if not uses_lanes(device):
-        pytest.skip("lane kernels run on the CPU only")
-    module = sys.modules[find("tc_adaptive").__module__]
-    scene = load_scene(f"configs/scenes/{name}.yaml")
-    sessions = {lanes: open_session(scene, device, (150, 84)) for lanes in (False, True)}
-    made, worst, soft = technique(samples=8), 0.0, 0
-    for frame in range(0, 60, 5):
-        images = {}
-        for lanes, session in sessions.items():
-            monkeypatch.setattr(module, "uses_lanes", lambda device, lanes=lanes: lanes)
-            session.begin(frame)
-            images[lanes] = session.render(made)
-            session.advance()
-        difference = np.abs(images[True].visibility - images[False].visibility)
-        errors = np.abs(images[True].standard_error - images[False].standard_error)
-        seen = np.isfinite(difference)
-        # a texel of history that just passes its depth test changes what a pixel remembers
-        worst = max(worst, float((difference[seen] > 1e-4).mean()), float((errors[seen] > 1e-4).mean()))
-        soft += int(((images[True].visibility[seen] > 0.1) & (images[True].visibility[seen] < 0.9)).sum())
-    assert worst <= 0.01 and soft > 1000
 
 
 # ---- convergence --------------------------------------------------------------------------------------------------------

@@ -54,7 +54,7 @@ def mark_lanes(
 @pytest.mark.parametrize("kind", sorted(LIGHTS))
 def test_own_umbra_is_where_every_corner_is_behind(kind: str, device: str) -> None:
     session = Session(Geometry(small.cluttered(LIGHTS[kind]), device), width=90, height=61, device=device)
-    gbuffer, corners = session.gbuffer(), pull_light_corners(session)
+    gbuffer, corners = session.gbuffer(), pull_light_corners(session, session.light)
     position, normal = (a.numpy().astype(float) for a in (gbuffer.position_ws, gbuffer.normal_ws))
     flags = gbuffer.flags.numpy()
     casts_and_receives = (flags & int(CASTS) != 0) & (flags & int(RECEIVES) != 0)
@@ -102,7 +102,7 @@ def test_history_does_not_cross_the_edge_of_a_surface_that_is_turned_away(name: 
             session.begin(index)
             result = session.render(technique)
             session.advance()
-        gbuffer, corners = session.gbuffer(), pull_light_corners(session)
+        gbuffer, corners = session.gbuffer(), pull_light_corners(session, session.light)
         out = wp.zeros(gbuffer.flags.shape, dtype=int, device=device)
         launch(mark, out.shape, [gbuffer, corners], [out], device=device)
         dark = out.numpy() == 1
