@@ -11,15 +11,6 @@ import small_scenes as small
 import warp as wp
 from compare import assert_twin
 from test_shadow_buffer import EYE, HEIGHT, WIDTH, fetch_twin, ground_depth, ray
-from wkernels.temporal.shadow_buffer.kept_views import (
-    PROBE,
-    PUT_ASIDE,
-    SEE,
-    BufferShelf,
-    EarlierBuffers,
-    fetch_earlier,
-    pull_shelf,
-)
 
 from algorithms.plugins import find
 from wkernels.device.launch import launch
@@ -27,6 +18,8 @@ from wkernels.frame.session import Session
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.model import Camera, Scene
 from wkernels.scene.views import View
+from wkernels.temporal.shadow_buffer.buffer_shelf import PROBE, PUT_ASIDE, SEE, BufferShelf, pull_shelf
+from wkernels.temporal.shadow_buffer.earlier_buffers import EarlierBuffers, fetch_earlier
 from wkernels.temporal.shadow_buffer.record import BILINEAR, TEXEL_TYPES
 
 STEPS = int(BILINEAR)

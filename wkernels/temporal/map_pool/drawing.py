@@ -106,7 +106,7 @@ STORE_TILES = Twin(
     ],
     outputs=lambda depth: [runs_of(depth, Floats)],
     grid=lambda grid: (grid[0], grid[1] * TILE // int(LANES), grid[2]),
-    fits=lambda drawn, columns, nearest, layer, resolution, tiles: resolution % int(LANES) == 0,
+    fits=lambda drawn, columns, nearest, layer, resolution, *_: resolution % int(LANES) == 0,
     tolerance=1e-6,
 )
 
