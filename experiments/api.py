@@ -10,13 +10,13 @@ import numpy as np
 
 from algorithms.plugins import find
 from algorithms.projections.composition import compose
+from algorithms.projections.schema import Projection
 from algorithms.technique import Technique
-from experiments.config.needs import check_needs
 from experiments.config.source import from_dict, validate
-from experiments.kinds.walkthrough.config import Projection
 from experiments.rendering.engine import check_device
 from experiments.rendering.reference import reference_for
 from experiments.scenes import load_scene
+from experiments.schema.needs import check_needs
 from wkernels.errors import InputError, nearest
 from wkernels.frame.session import FrameResult, LightViews, Session
 from wkernels.scene.geometry import Geometry

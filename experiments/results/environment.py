@@ -21,8 +21,8 @@ from experiments.metrics.registry import METRICS
 from wkernels import __version__
 
 if TYPE_CHECKING:
-    from experiments.kinds.walkthrough.config import Experiment
     from experiments.rendering.engine import Engine
+    from experiments.schema.experiment import Experiment
 
 _PACKAGES = ("warp-lang", "numpy", "scipy", "trimesh", "OpenImageIO", "pydantic", "matplotlib", "pandas")
 

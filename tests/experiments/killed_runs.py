@@ -28,10 +28,11 @@ import OpenImageIO
 from fake_engine import FakeEngine, make_experiment, make_run
 
 import experiments.report
-from experiments.kinds.walkthrough.config import Experiment, load_experiment
+from experiments.kinds.walkthrough.config import load_experiment
 from experiments.kinds.walkthrough.run import run
 from experiments.results.images import read_exr
 from experiments.results.store import Store
+from experiments.schema.experiment import Experiment
 
 CONFIG = """
 kind: walkthrough

@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from fake_engine import FakeEngine, make_experiment, make_run
 
-from experiments.kinds.walkthrough.run import TechniquesFailed, run
+from experiments.kinds.walkthrough.run import run
 from experiments.results import images
+from experiments.results.failures import TechniquesFailed
 from experiments.results.images import read_exr, write_exr, write_jpeg, write_png
 from experiments.results.store import Store
 from experiments.results.tables import Table, read_table, write_text

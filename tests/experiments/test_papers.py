@@ -5,15 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from experiments.config.kinds import kind_of
 
 from algorithms.plugins import load_all
-from experiments.config.kinds import kind_of
 from experiments.kinds.analysis.config import load_analysis
 from experiments.kinds.convergence.config import Convergence, Estimates, load_convergence
 from experiments.kinds.savings.config import load_savings
 from experiments.kinds.stability.config import load_stability
 from experiments.kinds.sweep.config import load_sweep
-from experiments.kinds.walkthrough.config import Experiment, load_experiment
+from experiments.kinds.walkthrough.config import load_experiment
+from experiments.schema.experiment import Experiment
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 FILES = sorted([*CONFIGS.glob("papers/*.yaml"), *CONFIGS.glob("experiments/*.yaml")])

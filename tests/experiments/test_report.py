@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from experiments.report.write import headline, number
 from fake_engine import FakeEngine, make_experiment, make_run
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from experiments.kinds.walkthrough.explain import explain
-from experiments.kinds.walkthrough.run import TechniquesFailed, run
+from experiments.kinds.walkthrough.run import run
 from experiments.metrics import registry as metrics
 from experiments.report import recompute_metrics, write_report
 from experiments.report.fields import LEVELS, decode, encode, evenly, field_frames
@@ -25,8 +26,8 @@ from experiments.report.labels import place_labels
 from experiments.report.pictures import picture_frames
 from experiments.report.plots import error_vs_time, per_frame
 from experiments.report.style import Look
-from experiments.report.write import headline, number
 from experiments.results import summary
+from experiments.results.failures import TechniquesFailed
 from experiments.results.images import read_exr, write_exr
 from experiments.results.store import Store
 from wkernels.errors import InputError

@@ -23,8 +23,8 @@ from experiments.kinds.sweep.config import Sweep, SweepFile, SweepScene
 from experiments.kinds.sweep.report import write_sweep_report
 from experiments.kinds.sweep.run import SweepFailed, run_sweep
 from experiments.kinds.sweep.store import SweepStore, is_sweep
-from experiments.kinds.walkthrough.config import Experiment
 from experiments.results.store import TABLES, Store
+from experiments.schema.experiment import Experiment
 from wkernels.errors import InputError
 
 FILE = {"kind": "sweep", "image": {"width": 24, "height": 16}, "scene": "x", "techniques": "all"}

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from algorithms.projections.projection import WarpShape, warps
+from algorithms.projections.projection import WarpShape
+from algorithms.projections.table import warps
 from experiments.kinds.analysis.config import Analysis, Curve
 from experiments.report.style import INK, Look, log_axis, save, styled
 from experiments.results.environment import describe_identity, describe_machine
@@ -136,7 +137,7 @@ def _factors(errors: Errors) -> dict[str, str | int | float]:
 
 
 def _quantities(errors: Errors) -> dict[str, float]:
-    """Values of ``experiments.results.published.CURVE_QUANTITIES``."""
+    """Values of ``experiments.schema.published.CURVE_QUANTITIES``."""
     out: dict[str, float] = {}
     for name, m in (("m_x", errors.m_x), ("m_z", errors.m_z)):
         values = (m[0], m[-1], m.min(), m.max())

@@ -16,12 +16,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from algorithms.plugins import load_all
 from experiments.kinds.convergence.config import SAMPLES, Convergence
-from experiments.kinds.walkthrough.label_run import check_result
-from experiments.kinds.walkthrough.run import Progress, attempt_report, raise_failures
+from experiments.kinds.convergence.store import ConvergenceStore
+from experiments.kinds.kind import Progress
 from experiments.metrics import registry as metrics
-from experiments.rendering.engine import Engine, FrameLike, SessionLike, WarpEngine
+from experiments.rendering.engine import Engine, FrameLike, SessionLike, WarpEngine, check_result
 from experiments.results.environment import describe_run, text_digest
+from experiments.results.failures import attempt_report, raise_failures
 from experiments.results.images import (
     error_view,
     shaded_view,
@@ -30,11 +32,10 @@ from experiments.results.images import (
     write_exr,
     write_png,
 )
-from experiments.results.store import ConvergenceStore
 from wkernels.errors import InputError
 
 if TYPE_CHECKING:
-    from experiments.config.techniques import TechniqueRun
+    from experiments.schema.techniques import TechniqueRun
 
 REACH = 2.0  # standard errors within which the true error should lie
 
@@ -249,10 +250,7 @@ def explain_convergence(convergence: Convergence, plugins: Mapping[str, type] | 
     """What ``run_convergence`` will do, for people; renders nothing."""
     from experiments.kinds.walkthrough.explain import run_lines, scene_lines
 
-    if plugins is None:
-        from algorithms.plugins import load_all
-
-        plugins = load_all()
+    plugins = load_all() if plugins is None else plugins
     e, c = convergence.experiment, convergence
     last = c.steps[-1]
     where = f"frame {c.frame}, held" if c.camera == "still" else f"frames {c.frame} to {c.frame + last - 1} of the path"

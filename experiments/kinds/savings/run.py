@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from experiments.kinds.walkthrough.run import TechniquesFailed
 from experiments.rendering.engine import WarpEngine
 from experiments.results.environment import describe_machine, file_digest
+from experiments.results.failures import TechniquesFailed
 from experiments.results.store import Store
 from experiments.results.tables import Row, Table, read_table, table_text, write_text
 from wkernels import __version__
@@ -24,9 +24,9 @@ from wkernels.device.launch import default_threads
 from wkernels.errors import InputError
 
 if TYPE_CHECKING:
-    from experiments.config.techniques import TechniqueRun
+    from experiments.kinds.kind import Progress
     from experiments.kinds.savings.config import Savings
-    from experiments.kinds.walkthrough.run import Progress
+    from experiments.schema.techniques import TechniqueRun
     from wkernels.frame.session import Session
     from wkernels.workspace.left_out import Omission
 

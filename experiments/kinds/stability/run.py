@@ -15,17 +15,17 @@ from experiments.kinds.stability.cases import CASES
 from experiments.kinds.stability.heat_map import draw_heat_map
 from experiments.kinds.stability.report import write_stability_report
 from experiments.kinds.stability.table import COLUMNS, breaking_points, concerned, examine
-from experiments.kinds.walkthrough.run import attempt_report, raise_failures
 from experiments.rendering.engine import check_device
 from experiments.results.environment import describe_identity, describe_machine, file_digest, text_digest
+from experiments.results.failures import attempt_report, raise_failures
 from experiments.results.result_tables import FAILURE_COLUMNS
 from experiments.results.store import Store
 from experiments.results.tables import Row
 from wkernels.device.launch import default_threads
 
 if TYPE_CHECKING:
+    from experiments.kinds.kind import Progress
     from experiments.kinds.stability.config import Stability
-    from experiments.kinds.walkthrough.run import Progress
 
 
 def run_stability(

@@ -8,13 +8,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from experiments.kinds.kind import Progress
 from experiments.kinds.sweep.store import SweepStore
 from experiments.kinds.sweep.write import write_sweep, write_tables
 from experiments.kinds.walkthrough.explain import explain
-from experiments.kinds.walkthrough.run import Progress, TechniquesFailed, run
+from experiments.kinds.walkthrough.run import run
 from experiments.metrics.registry import METRICS
 from experiments.rendering.engine import Engine, check_device
 from experiments.results.environment import declared, describe_machine, text_digest
+from experiments.results.failures import TechniquesFailed
 from experiments.results.store import Store
 from experiments.results.tables import read_table, write_text
 from wkernels import __version__
@@ -23,7 +25,7 @@ from wkernels.errors import InputError
 
 if TYPE_CHECKING:
     from experiments.kinds.sweep.config import Sweep, SweepScene
-    from experiments.kinds.walkthrough.config import Experiment
+    from experiments.schema.experiment import Experiment
 
 Row = dict[str, Any]
 
@@ -153,7 +155,7 @@ def _rows(folder: Path) -> tuple[int, int]:
 
 def _report_scene(store: SweepStore, name: str, tell: Progress, failures: list[Row]) -> None:
     """Writes a scene's report; one that cannot be written is a failure and no reason to stop."""
-    from experiments.report import write_report
+    from experiments.kinds.walkthrough.report import write_report
     from experiments.results.summary import write_summary
 
     tell(0, 0, "writing the report")
