@@ -6,14 +6,16 @@ import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from algorithms.modules import defined_in
 from experiments.config.overrides import apply_overrides
 from experiments.config.source import Source, StrictModel, load_yaml
-from experiments.results.compare import Compared, compare
 from experiments.results.store import Store
 from wkernels.errors import InputError, nearest
+
+if TYPE_CHECKING:
+    from experiments.results.compare import Compared
 
 FOLDER = Path(__file__).parent
 PLAIN = "walkthrough"
@@ -83,6 +85,8 @@ class Kind(ABC):
 
     def compare(self, a: Path, b: Path) -> Compared:
         """How one result folder differs from another; InputError where they cannot be compared."""
+        from experiments.results.compare import compare
+
         return compare(a, b)
 
 

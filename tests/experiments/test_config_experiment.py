@@ -208,7 +208,7 @@ def test_a_mistake_is_named_with_file_line_and_key(load: Load, text: str, expect
         (
             "walkthrough",
             "bench",
-            "e.yaml:1: kind: kind 'bench' is not available yet; available: walkthrough, convergence, sweep, stability, savings, analysis.",
+            "e.yaml:1: kind: kind 'bench' is not available yet; available: analysis, convergence, savings, stability, sweep, walkthrough.",
         ),
         (
             "walkthrough",

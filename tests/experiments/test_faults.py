@@ -349,7 +349,7 @@ def test_a_report_that_fails_loses_nothing(tmp_path: Path, monkeypatch: pytest.M
     def fail(out: Path) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("experiments.report.write_report", fail)
+    monkeypatch.setattr("experiments.kinds.walkthrough.report.write_report", fail)
     e = experiment()
     with pytest.raises(TechniquesFailed, match="the report failed: ZeroDivisionError"):
         run(e, tmp_path / "out", engine=FakeEngine(e))

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from experiments.kinds.kind import Kind, Progress
 from experiments.kinds.sweep.config import SweepFile, load_sweep
-from experiments.results.compare import Compared
 from experiments.results.tables import read_table
+
+if TYPE_CHECKING:
+    from experiments.results.compare import Compared
 
 
 class SweepKind(Kind):
