@@ -42,6 +42,10 @@ Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Distance = Annotated[float, Field(gt=0.0)]
 
 
+PARTS = ("fit", "warp", "stabilise")
+"""Keys that name files."""
+
+
 class Projection(BaseModel):
     """How light views are laid over the scene, with the plainest values as defaults.
 

@@ -1,4 +1,4 @@
-"""The Python calls of DESIGN section 7."""
+"""The Python calls."""
 
 import subprocess
 import sys
