@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from algorithms.modules import defined_in
+from experiments import kinds
 from experiments.config.overrides import apply_overrides
 from experiments.config.source import Source, StrictModel, load_yaml
 from experiments.results.store import Store
@@ -17,7 +18,6 @@ from wkernels.errors import InputError, nearest
 if TYPE_CHECKING:
     from experiments.results.compare import Compared
 
-FOLDER = Path(__file__).parent
 PLAIN = "walkthrough"
 """What a result folder is whose record names no kind, and whose loader says what is wrong with a file of none."""
 PLANNED = ("bench",)
@@ -92,7 +92,7 @@ class Kind(ABC):
 
 def names() -> list[str]:
     """Names of the kinds, sorted."""
-    return sorted(path.parent.name for path in FOLDER.glob("*/kind.py"))
+    return sorted(path.parent.name for folder in kinds.__path__ for path in Path(folder).glob("*/kind.py"))
 
 
 def find(name: str) -> Kind:
