@@ -11,13 +11,10 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
-import math
 import os
 import tempfile
-import time
 import zipfile
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -135,30 +132,6 @@ class ReferenceRenderer:
             own = part
         return made
 
-    def progressive(
-        self, frame: int, batch: int = 64, *, standard_error: float = 0.0, budget_s: float = math.inf
-    ) -> Iterator[tuple[int, Reference]]:
-        """The reference of a frame as it grows: (samples so far, reference) after each batch; the cache is not used.
-
-        Args:
-            frame: Frame of the scene's path.
-            batch: Samples traced at a time, at least 1.
-            standard_error: Ends when the root mean square of the standard error over the receivers is no larger.
-            budget_s: Ends after the batch that exceeds this many seconds.
-        """
-        self.geometry.set_frame(frame)
-        begin, done = time.perf_counter(), 0
-        made: Reference | None = None
-        while done < self._samples:
-            count = min(batch, self._samples - done)
-            part = self._trace(frame, count, done)
-            made = part if made is None else self._merge(made, done, part, count)
-            done += count
-            yield done, made
-            error = made.standard_error[np.isfinite(made.standard_error)].astype(np.float64)
-            if error.size == 0 or np.sqrt(np.mean(error**2)) <= standard_error or _since(begin) > budget_s:
-                return
-
     def _largest_part(self, stem: str) -> tuple[int, Reference] | None:
         """The cached reference of the most samples, but fewer than wanted."""
         counts = (path.stem.removeprefix(f"{stem}-") for path in cache_folder().glob(f"{stem}-*.npz"))
@@ -263,10 +236,6 @@ def cache_folder() -> Path:
     chosen = os.environ.get(CACHE_VARIABLE, "")
     root = Path(chosen).expanduser() if chosen else Path(platformdirs.user_cache_dir("wkernels", appauthor=False))
     return root / "reference"
-
-
-def _since(begin: float) -> float:
-    return time.perf_counter() - begin
 
 
 def _technique(has_area: bool, samples: int, start: int = 0) -> Technique:

@@ -175,10 +175,15 @@ def check_projection(source: Source, loc: Loc, settings: dict[str, Any]) -> None
 def _label(source: Source, loc: Loc, label: Any) -> str:
     if not isinstance(label, str) or not label.strip():
         raise source.error(f"must be a name, not {shown(label)}.", loc)
-    # Labels become folder names.
-    if label in (".", "..") or len(label) > 100 or any(c in '/\\:*?"<>|' or not c.isprintable() for c in label):
+    if not names_a_folder(label):
         raise source.error('must be at most 100 printable characters without / \\ : * ? " < > |.', loc)
     return label
+
+
+def names_a_folder(name: str) -> bool:
+    """Whether a label, or a scene, can be the name of its result folder."""
+    odd = any(c in '/\\:*?"<>|' or not c.isprintable() for c in name)
+    return name not in (".", "..") and len(name) <= 100 and not odd
 
 
 def _text(value: Any) -> str:

@@ -309,24 +309,3 @@ def test_weighted_samples_are_not_gone_on_with() -> None:
     textured = scene(texture=np.array([[0.0, 1.0], [3.0, 0.5]]))
     render(textured, samples=16)
     assert same(render(textured, samples=40), render(textured, samples=40, cache=False))
-
-
-def test_progressive_references_end_in_the_whole_one() -> None:
-    for of in (scene(), scene(texture=np.array([[0.0, 1.0], [3.0, 0.5]]))):
-        renderer = ReferenceRenderer(Geometry(of), samples=100, cache=False, **SIZE)
-        steps = list(renderer.progressive(0, batch=32))
-        assert [samples for samples, _ in steps] == [32, 64, 96, 100]
-        whole, last = renderer.render(0), steps[-1][1]
-        np.testing.assert_allclose(
-            last.visibility, whole.visibility, atol=0.02 if of.lights[0].texture is not None else 0
-        )
-        errors = [np.nanmean(made.standard_error) for _, made in steps]
-        assert errors == sorted(errors, reverse=True)
-
-
-def test_progressive_references_end_when_they_are_good_enough() -> None:
-    renderer = ReferenceRenderer(Geometry(scene()), samples=10_000, cache=False, **SIZE)
-    *_, (samples, made) = renderer.progressive(0, batch=32, standard_error=0.02)
-    assert 32 <= samples < 10_000
-    assert np.sqrt(np.nanmean(made.standard_error.astype(float) ** 2)) <= 0.02
-    assert len(list(renderer.progressive(0, batch=32, budget_s=0.0))) == 1

@@ -29,6 +29,6 @@ class AnalysisKind(Kind):
         return (f"{published}\n\n" if published else "") + f"Table: {table}"
 
     def explain(self, experiment: Any, plugins: Mapping[str, Any]) -> str:
-        from experiments.kinds.analysis.run import explain_analysis
+        from experiments.kinds.analysis.explain import explain_analysis
 
         return explain_analysis(experiment)

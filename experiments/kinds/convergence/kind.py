@@ -32,7 +32,7 @@ class ConvergenceKind(Kind):
     def explain(self, experiment: Any, plugins: Mapping[str, Any]) -> str:
         if isinstance(experiment, Estimates):
             return f"Experiment {experiment.name} (convergence): estimates from {len(experiment.tests)} shadow tests"
-        from experiments.kinds.convergence.run import explain_convergence
+        from experiments.kinds.convergence.explain import explain_convergence
 
         return explain_convergence(experiment, plugins)
 

@@ -28,7 +28,7 @@ class SavingsKind(Kind):
         return f"{savings_text(read_table(table))}\nTable: {table}\nReport: {write_savings_report(out)}"
 
     def explain(self, experiment: Any, plugins: Mapping[str, Any]) -> str:
-        from experiments.kinds.savings.run import explain_savings
+        from experiments.kinds.savings.explain import explain_savings
 
         return explain_savings(experiment, plugins)
 

@@ -27,7 +27,7 @@ class StabilityKind(Kind):
         return f"{summary_text(read_table(table))}\nTable: {table}\nReport: {out / 'report.html'}"
 
     def explain(self, experiment: Any, plugins: Mapping[str, Any]) -> str:
-        from experiments.kinds.stability.run import explain_stability
+        from experiments.kinds.stability.explain import explain_stability
 
         return explain_stability(experiment, plugins)
 

@@ -20,7 +20,7 @@ from experiments.config.source import Source, dump_yaml, validate
 from experiments.schema.experiment import Experiment, open_scene, read_experiment, resolve
 from experiments.schema.models import RunFile
 from experiments.schema.needs import unmet_need
-from experiments.schema.techniques import TechniqueRun, expand_techniques
+from experiments.schema.techniques import TechniqueRun, expand_techniques, names_a_folder
 from wkernels.errors import nearest
 from wkernels.scene.model import Scene
 
@@ -216,7 +216,7 @@ def _check_name(source: Source, loc: Loc, name: str, earlier: Sequence[str]) -> 
     if name.casefold() in TAKEN:
         message = f"a scene cannot be called '{name}', which names something else in the results; rename it."
         raise source.error(message, loc)
-    if name in (".", "..") or len(name) > 100 or any(c in '/\\:*?"<>|' or not c.isprintable() for c in name):
+    if not names_a_folder(name):
         raise source.error('the name must be at most 100 printable characters without / \\ : * ? " < > |.', loc)
     if name.casefold() in [other.casefold() for other in earlier]:
         message = f"there is a scene '{name}' already; give one of the two another name (name: ... in a scene's keys)."

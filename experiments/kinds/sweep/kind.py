@@ -31,7 +31,7 @@ class SweepKind(Kind):
         return "\n".join([*advice, f"Report: {out / 'report.html'}"])
 
     def explain(self, experiment: Any, plugins: Mapping[str, Any]) -> str:
-        from experiments.kinds.sweep.run import explain_sweep
+        from experiments.kinds.sweep.explain import explain_sweep
 
         return explain_sweep(experiment, plugins)
 

@@ -1,4 +1,4 @@
-"""``run_sweep``: the result folder of ``kind: sweep``, and what ``explain`` says of it."""
+"""``run_sweep``: the result folder of ``kind: sweep``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from experiments.kinds.kind import Progress
 from experiments.kinds.sweep.store import SweepStore
 from experiments.kinds.sweep.write import write_sweep, write_tables
-from experiments.kinds.walkthrough.explain import explain
 from experiments.kinds.walkthrough.run import run
 from experiments.metrics.registry import METRICS
 from experiments.rendering.engine import Engine, check_device
@@ -229,22 +228,3 @@ def _described(scene: SweepScene) -> dict[str, Any]:
         "labels": [run.label for run in scene.experiment.runs],
         "left_out": [{"label": run.label, "reason": why} for run, why in scene.unserved],
     }
-
-
-def explain_sweep(sweep: Sweep, plugins: Mapping[str, type]) -> str:
-    """What ``run_sweep`` will do, for people: an overview, then each scene's walkthrough."""
-    experiments = [scene.experiment for scene in sweep.scenes]
-    renderings = sum(len(e.runs) * len(e.frames) * e.repeats for e in experiments)
-    compared = [sweep.baseline, *(b if isinstance(b, str) else f"{b:g} ms" for b in sweep.budgets)]
-    lines = [
-        f"Experiment {sweep.name} (sweep)",
-        "",
-        f"{len(sweep.runs)} labels on {len(experiments)} scene{'s' if experiments[1:] else ''}: "
-        f"{renderings:,} timed renderings",
-        f"compared at equal time and equal error with: {', '.join(dict.fromkeys(compared))}",
-    ]
-    for scene in sweep.scenes:
-        lines += ["", f"==== {scene.name}", "", *explain(scene.experiment, plugins).splitlines()[2:]]
-        if scene.unserved:
-            lines += ["", "Not run here", *(f"  {run.label}: {why}" for run, why in scene.unserved)]
-    return "\n".join(lines)

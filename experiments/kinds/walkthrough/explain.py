@@ -34,9 +34,13 @@ def explain(experiment: Experiment, plugins: Mapping[str, type] | None = None) -
         *([("Views", _view_lines(experiment))] if experiment.views else []),
         ("Left out", left_out_lines(experiment, scene, plugins)),
     ]
-    parts = [f"Experiment {experiment.name} (walkthrough)"]
-    parts += [f"\n{title}\n" + "\n".join(f"  {line}" for line in lines) for title, lines in sections]
-    return "\n".join(parts)
+    return sections_text(f"Experiment {experiment.name} (walkthrough)", sections)
+
+
+def sections_text(head: str, sections: Sequence[tuple[str, Sequence[str]]]) -> str:
+    """A head and titled lists of lines."""
+    parts = (f"\n{title}\n" + "\n".join(f"  {line}" for line in lines) for title, lines in sections)
+    return "\n".join([head, *parts])
 
 
 def scene_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, type]) -> list[str]:
