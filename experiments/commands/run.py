@@ -29,7 +29,7 @@ def run_experiment(
     folder = out or Path("out") / experiment.name
     options = {"device": device, "threads": threads, "resume": resume, "skips": skips}
     with _interruptible(folder), progress_display() as progress:
-        told = kind.run(experiment, folder, plugins, progress=progress, **options)
+        told = kind.run(experiment, folder, plugins, progress, **options)
     print(told)
 
 

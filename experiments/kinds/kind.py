@@ -57,7 +57,7 @@ class Kind(ABC):
         """
 
     @abstractmethod
-    def run(self, experiment: Any, out: Path, plugins: Mapping[str, Any], *, progress: Progress, **options: Any) -> str:
+    def run(self, experiment: Any, out: Path, plugins: Mapping[str, Any], progress: Progress, **options: Any) -> str:
         """Runs what ``load`` gave, and writes its result folder and report.
 
         Args:

@@ -40,7 +40,7 @@ class CountKind(Kind):
         file = validate(CountFile, apply_overrides(load_yaml(path), overrides))
         return SimpleNamespace(name=path.stem, upto=file.upto)
 
-    def run(self, experiment, out, plugins, *, progress, **options):
+    def run(self, experiment, out, plugins, progress, **options):
         out.mkdir(parents=True)
         (out / "environment.json").write_text(json.dumps({"run": {"kind": "count"}}))
         for i in range(experiment.upto):

@@ -21,7 +21,7 @@ class AnalysisKind(Kind):
     def load(self, path: Path, overrides: Sequence[str], plugins: Mapping[str, Any]) -> Any:
         return load_analysis(path, overrides)
 
-    def run(self, experiment: Any, out: Path, plugins: Mapping[str, Any], *, progress: Progress, **options: Any) -> str:
+    def run(self, experiment: Any, out: Path, plugins: Mapping[str, Any], progress: Progress, **options: Any) -> str:
         from experiments.kinds.analysis.run import run_analysis
 
         table = run_analysis(experiment, out)

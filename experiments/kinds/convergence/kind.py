@@ -19,7 +19,7 @@ class ConvergenceKind(Kind):
     def load(self, path: Path, overrides: Sequence[str], plugins: Mapping[str, Any]) -> Any:
         return load_convergence(path, overrides, plugins)
 
-    def run(self, experiment: Any, out: Path, plugins: Mapping[str, Any], *, progress: Progress, **options: Any) -> str:
+    def run(self, experiment: Any, out: Path, plugins: Mapping[str, Any], progress: Progress, **options: Any) -> str:
         if isinstance(experiment, Estimates):
             from experiments.kinds.convergence.estimates import estimates_text, run_estimates
 

@@ -20,7 +20,7 @@ class SavingsKind(Kind):
     def load(self, path: Path, overrides: Sequence[str], plugins: Mapping[str, Any]) -> Any:
         return load_savings(path, overrides, plugins)
 
-    def run(self, experiment: Any, out: Path, plugins: Mapping[str, Any], *, progress: Progress, **options: Any) -> str:
+    def run(self, experiment: Any, out: Path, plugins: Mapping[str, Any], progress: Progress, **options: Any) -> str:
         from experiments.kinds.savings.report import write_savings_report
         from experiments.kinds.savings.run import run_savings, savings_text
 

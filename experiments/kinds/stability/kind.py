@@ -20,7 +20,7 @@ class StabilityKind(Kind):
     def load(self, path: Path, overrides: Sequence[str], plugins: Mapping[str, Any]) -> Any:
         return load_stability(path, overrides, plugins)
 
-    def run(self, experiment: Any, out: Path, plugins: Mapping[str, Any], *, progress: Progress, **options: Any) -> str:
+    def run(self, experiment: Any, out: Path, plugins: Mapping[str, Any], progress: Progress, **options: Any) -> str:
         from experiments.kinds.stability.run import run_stability, summary_text
 
         table = run_stability(experiment, out, plugins, progress=progress, **options)

@@ -23,7 +23,7 @@ class SweepKind(Kind):
     def load(self, path: Path, overrides: Sequence[str], plugins: Mapping[str, Any]) -> Any:
         return load_sweep(path, overrides, plugins)
 
-    def run(self, experiment: Any, out: Path, plugins: Mapping[str, Any], *, progress: Progress, **options: Any) -> str:
+    def run(self, experiment: Any, out: Path, plugins: Mapping[str, Any], progress: Progress, **options: Any) -> str:
         from experiments.kinds.sweep.run import run_sweep
 
         run_sweep(experiment, out, plugins=plugins, progress=progress, **options)

@@ -20,7 +20,7 @@ class WalkthroughKind(Kind):
     def load(self, path: Path, overrides: Sequence[str], plugins: Mapping[str, Any]) -> Any:
         return load_experiment(path, overrides, plugins)
 
-    def run(self, experiment: Any, out: Path, plugins: Mapping[str, Any], *, progress: Progress, **options: Any) -> str:
+    def run(self, experiment: Any, out: Path, plugins: Mapping[str, Any], progress: Progress, **options: Any) -> str:
         from experiments.kinds.walkthrough.run import run
 
         run(experiment, out, plugins=plugins, progress=progress, **options)
