@@ -197,40 +197,6 @@ class ReferenceRenderer:
         return stem if samples == 0 else f"{stem}-{self._samples}"
 
 
-def reference_for(
-    geometry: Geometry,
-    *,
-    samples: int,
-    frame: int,
-    width: int,
-    height: int,
-    light: int = 0,
-    centre: bool = False,
-    device: str = "cpu",
-    threads: int | None = None,
-    seed: int = 1,
-    cache: bool = True,
-) -> Reference:
-    """The reference of one frame; for many frames of one geometry use ``ReferenceRenderer``, whose arguments these are.
-
-    Raises:
-        InputError: ``samples`` out of range.
-    """
-    renderer = ReferenceRenderer(
-        geometry,
-        samples=samples,
-        width=width,
-        height=height,
-        light=light,
-        centre=centre,
-        device=device,
-        threads=threads,
-        seed=seed,
-        cache=cache,
-    )
-    return renderer.render(frame)
-
-
 def cache_folder() -> Path:
     """Where references are kept: under ``WKERNELS_CACHE`` if it is set, else under the user's cache folder."""
     chosen = os.environ.get(CACHE_VARIABLE, "")

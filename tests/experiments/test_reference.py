@@ -9,7 +9,7 @@ import pytest
 
 from experiments import reference_visibility, render_visibility
 from experiments.rendering import reference
-from experiments.rendering.reference import Reference, ReferenceRenderer, cache_folder, reference_for
+from experiments.rendering.reference import Reference, ReferenceRenderer, cache_folder
 from wkernels.errors import InputError
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.lights import DirectionalLight, DiscLight, Light, PointLight, RectangleLight
@@ -42,7 +42,7 @@ def scene(**light: object) -> Scene:
 
 def render(of: Scene, *, samples: int = 16, frame: int = 0, **changed: object) -> Reference:
     settings: dict[str, object] = {**SIZE, **changed}
-    return reference_for(Geometry(of), samples=samples, frame=frame, **settings)  # type: ignore[arg-type]
+    return ReferenceRenderer(Geometry(of), samples=samples, **settings).render(frame)  # type: ignore[arg-type]
 
 
 @pytest.fixture(autouse=True)
