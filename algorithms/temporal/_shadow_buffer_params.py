@@ -12,7 +12,7 @@ Movers = Literal["disocclude", "at_once", "gradual", "ignore"]
 
 
 class ShadowBufferParams(MapParams):
-    """What ``wkernels.temporal.shadow_buffer.step`` reads."""
+    """What ``ShadowBufferTechnique`` reads."""
 
     sample_set: Literal["halton", "r2", "poisson_disc", "stratified", "random"] = setting(
         "halton", "point set on the light", unit="name", source="Scherzer 2009, sec. 4"

@@ -190,7 +190,8 @@ class TcSoftPaper(ShadowBufferTechnique):
         if p.start == "sample":
             return start_by(START_SAMPLE)
         counts = [p.blocker_taps, p.filter_taps]
-        if not frame.light.has_area and frame.leave_out(Skip.TAPS_ALIKE, count=sum(counts) - 2):
+        fewer = 0 if frame.light.has_area else sum(counts) - 2
+        if fewer and frame.leave_out(Skip.TAPS_ALIKE, count=fewer):
             counts = [1, 1]
         blocker_taps, filter_taps = (pull_taps(frame, "box", count) for count in counts)
         weight = p.start_weight * step.turns[0].weight

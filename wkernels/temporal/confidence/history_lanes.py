@@ -1,4 +1,4 @@
-"""``confident_history`` for a run of pixels at a time; see ``receiver_lanes.py`` for how such code is written."""
+"""``history`` for a run of pixels at a time; ``docs/lanes.md`` says how such code is written."""
 
 from __future__ import annotations
 

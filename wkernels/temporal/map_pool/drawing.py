@@ -1,4 +1,4 @@
-"""Drawing the maps of a pool (``map_pool``): layer by layer into an image, and from there into tiles."""
+"""Drawing the maps of a pool (``pool``): layer by layer into an image, and from there into tiles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which maps of a pool are drawn in which frame: the host's side of ``map_pool``."""
+"""Which maps of a pool are drawn in which frame: the host's side of ``pool``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``map_pool`` for a run of pixels at a time; ``docs/lanes.md`` says how such code is written."""
+"""``pool.map_test`` for a run of pixels at a time; ``docs/lanes.md`` says how such code is written."""
 
 from __future__ import annotations
 

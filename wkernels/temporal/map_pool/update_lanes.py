@@ -1,4 +1,4 @@
-"""``pool_update`` for a run of pixels at a time; ``docs/lanes.md`` says how such code is written."""
+"""``update`` for a run of pixels at a time; ``docs/lanes.md`` says how such code is written."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``shadow_buffer_update`` for a run of pixels at a time; see ``receiver_lanes.py`` for how such code is written.
+"""``update`` for a run of pixels at a time; ``docs/lanes.md`` says how such code is written.
 
 The lanes do what nearly every pixel needs: the hard test, the history's four texels each with its depth test, the
 sums, the error and the filter's width; and in runs with new pixels their start. What few pixels need is left to the
