@@ -8,7 +8,7 @@ last frame is read by reprojection; a texel of it counts if it saw the same surf
 and the swimming of maps that follow the eye averages out: warped ones have no other remedy (Stingl 2011, sections 3.5
 and 8.2.1).
 
-Deviations; the original was not at hand, the formulas are those of the catalogue:
+Deviations; the original was not at hand, the formulas are our reading of those who cite it:
 - h = c s + (1 - c) h_prev never settles: a confident test overrides all that came before. By default h is the mean of
   all tests weighted by c / E(c), E(c) = 2 / ((m + 1) (m + 2)), over at most ``memory`` frames; m grows with the root of
   the frames that are known, so that a new point takes its first tests as they are and an old one those at texel
@@ -75,7 +75,7 @@ class TcHard(Technique):
             1.0,
             "width of the square that the map's shifts fill; 0: no shift, and nothing converges",
             unit="texels",
-            source="CATALOGUE tc_hard",
+            source="Scherzer, Jeschke and Wimmer 2007; the range is our own specification",
             ge=0.0,
             le=1.0,
         )
@@ -83,7 +83,7 @@ class TcHard(Technique):
             0.0,
             "range of the angles that the map is turned by, about the light's direction; texels grow by up to sqrt(2)",
             unit="degrees",
-            source="CATALOGUE tc_hard",
+            source="Scherzer, Jeschke and Wimmer 2007; the range is our own specification",
             ge=0.0,
             le=90.0,
         )
@@ -94,7 +94,7 @@ class TcHard(Technique):
             9,
             "m: exponent of the confidence, constant where published, else its greatest",
             unit="1",
-            source="CATALOGUE tc_hard, 3 to 15",
+            source="Scherzer, Jeschke and Wimmer 2007; 3 to 15 is our reading",
             ge=0,
             le=64,
         )

@@ -1,4 +1,4 @@
-"""Models of the experiment file, as it is written (DESIGN section 5)."""
+"""Models of the experiment file, as it is written (docs/formats.md)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """Reprojection: where a point of this frame was in the previous one, and whether the same surface was stored there.
 
-(CATALOGUE tc_hard, tc_soft_thesis, tc_soft_paper.) Points are moved by the camera alone; a moving object's own motion
-is not followed. Pixel (x, y) covers [x, x + 1] x [y, y + 1], row 0 at the top.
+(Scherzer, Jeschke and Wimmer 2007; Schwaerzler 2009, section 5.2; Scherzer et al. 2009, section 3.2.) Points are moved
+by the camera alone; a moving object's own motion is not followed. Pixel (x, y) covers [x, x + 1] x [y, y + 1], row 0 at
+the top.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def nearest_texel(view: View, x_px: float, y_px: float) -> wp.vec2i:
 
 @wp.func
 def accept_relative(depth: float, stored_depth: float, epsilon: float) -> bool:
-    """Whether ``|1 - depth / stored_depth| < epsilon``: the test of the thesis (source S0, 5.2), 1e-3 there.
+    """Whether ``|1 - depth / stored_depth| < epsilon``: the test of the thesis (Schwaerzler 2009, 5.2), 1e-3 there.
 
     Args:
         depth: Linear depth of the reprojected point in the previous view.
@@ -65,7 +66,7 @@ def accept_relative(depth: float, stored_depth: float, epsilon: float) -> bool:
 
 @wp.func
 def accept_absolute(depth: float, stored_depth: float, epsilon: float) -> bool:
-    """Whether ``|depth - stored_depth| < epsilon``, in scene units (source S3, equation 4).
+    """Whether ``|depth - stored_depth| < epsilon``, in scene units (Scherzer et al. 2009, equation 4).
 
     The thesis finds this one unstable: no epsilon suits both ends of a deep scene. Otherwise as ``accept_relative``.
     """
