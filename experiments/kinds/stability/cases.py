@@ -1,4 +1,4 @@
-"""The stiff cases X1 to X12 (docs/glossary.md), each with levels of rising stiffness; the first level is the easy one."""
+"""The stiff cases X1 to X12 (docs/glossary.md), each with levels of rising stiffness; the first is the easy one."""
 
 from __future__ import annotations
 
