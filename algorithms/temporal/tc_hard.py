@@ -14,8 +14,8 @@ Deviations; the original was not at hand, the formulas are our reading of those 
   the frames that are known, so that a new point takes its first tests as they are and an old one those at texel
   centres only. ``blend: published`` is the recursion with a constant m.
 - A slope bias allows for half a texel of the receiver's plane. ``scale_bias`` allows only for the point's own distance
-  from the centre of its texel: shadows of smooth casters on smooth receivers begin where they should (on ``overlap`` a
-  third less error), but coarse facets that cast upon each other get acne in their creases, so it is off by default.
+  from the centre of its texel: shadows of smooth casters on smooth receivers begin where they should (docs/parts.md),
+  but coarse facets that cast upon each other get acne in their creases, so it is off by default.
 - Four history texels are interpolated, each with its own depth test on the receiver's plane: the point's own depth
   would reject slanted ground. Every read blurs; the variance of all reads behind a sum is kept beside it, and frames
   are forgotten as ``blur`` demands.
