@@ -141,7 +141,7 @@ CODE = [b for page in PAGES for b in blocks(page, "python") if page.name not in 
 
 @pytest.mark.parametrize("block", CODE, ids=[block.name for block in CODE])
 def test_python_that_is_shown_runs(block: Piece, desk: Path) -> None:
-    text = re.sub(r'width(\W+)\d+(\W+)height(\W+)\d+', r"width\1 64\2height\3 36", block.text)
+    text = re.sub(r"width(\W+)\d+(\W+)height(\W+)\d+", r"width\1 64\2height\3 36", block.text)
     assert text != block.text, "no size to make smaller"
     exec(compile(text, block.name, "exec"), {})
 

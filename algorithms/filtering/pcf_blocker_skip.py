@@ -4,7 +4,7 @@
    2011, section 3.6). All hidden: dark, which the sources do not use but which is as true.
 2. Everywhere else the filter of section 3.6: the mean of 64 Poisson taps of 2 x 2 comparisons.
 
-The thesis reports up to 15 % more frames a second; docs/parts.md has what is saved here, and how much the search misses.
+The thesis reports up to 15 % more frames a second; docs/parts.md has what is saved here, and what the search misses.
 On the CPU the filter is left out for runs of 64 pixels. Misses are lit rather than dark.
 
 Deviations: ``rim`` puts the search's taps at the centre and on the rim of the filter's disc, through which every edge

@@ -21,8 +21,8 @@ Deviations, where the paper is silent or wrong:
   test. What the whole light lies behind is dark at once, holds no history and gives none; ``tested`` is the
   published form.
 - ``agreement``: a moving eye interpolates history anew in every frame. Where its texels differ n is limited to what the
-  difference is worth (``temporal.sample_window``). ``largest_n`` is a fixed window in its place; ``stop_error`` ends the
-  drawing of a still picture. docs/parts.md has what each of these parts is worth.
+  difference is worth (``temporal.sample_window``). ``largest_n`` is a fixed window in its place, and ``stop_error``
+  ends the drawing of a still picture. docs/parts.md has what each of these parts is worth.
 - Equation 6 maps a length to the near plane only; here it is pixels, pw H / (2 depth tan(fov / 2)).
 - A filter as wide as the penumbra keeps its bias until the error reaches t (psi = 1/2: n = 626), so that errors fall
   with the fourth root of n at best. From SE = 1/4 on its width is in proportion to SE, which follows the samples;

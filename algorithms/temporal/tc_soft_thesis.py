@@ -14,7 +14,7 @@ The other published variant is ``tc_soft_paper`` (Scherzer et al. 2009). Choices
 the printed form is worth a look:
 - n = 1 has no standard error (5.3 is 0/0): 1.
 - ``start``: section 5.2.3 never stores the blur; the shader stores a new point's as 16 samples, rho = 8 (blur + tau)
-  (``blur``). One map's blur then outweighs the next 16. docs/parts.md has what this and others of these parts are worth.
+  (``blur``). One map's blur then outweighs the next 16. docs/parts.md has what this and other parts are worth.
 - ``pixel_size``: equations 5.9 and 5.10 give a length on the near plane, the shader divides 0.1 by the depth; both take
   the frame's height for 1. Here it is pixels. The published radius is a whole penumbra width (``filter_radius: 1``),
   which blurs twice as wide as the penumbra is.

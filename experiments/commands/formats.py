@@ -17,31 +17,32 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from algorithms.projections.projection import fits, stabilisers, warps
+from algorithms.projections.schema import Projection
+from algorithms.projections.table import fits, stabilisers, warps
 from algorithms.technique import MapParams
 from experiments.commands.markdown import bring_up_to_date, table, with_block
-from experiments.config import models
+from experiments.kinds import kind as kinds
 from experiments.kinds.analysis import config as analysis
 from experiments.kinds.analysis import run as analysis_run
 from experiments.kinds.convergence import config as convergence
 from experiments.kinds.convergence import estimates
 from experiments.kinds.convergence import report as convergence_report
-from experiments.kinds.savings import config as savings
+from experiments.kinds.convergence.store import CONVERGENCE_COLUMNS
 from experiments.kinds.savings import run as savings_run
-from experiments.kinds.stability import config as stability
 from experiments.kinds.stability import table as stability_table
-from experiments.kinds.sweep import config as sweep
-from experiments.kinds.sweep import store as sweep_store
-from experiments.kinds.walkthrough.config import Experiment
+from experiments.kinds.sweep.store import SweepStore
 from experiments.metrics.registry import METRICS
 from experiments.results import published, store
 from experiments.results.meanings import meaning
 from experiments.results.prediction import PREDICTION_COLUMNS
 from experiments.results.summary import SUMMARY_COLUMNS
 from experiments.scenes import generators, schema
+from experiments.schema import models
+from experiments.schema.experiment import Experiment
 
 PAGE = "docs/formats.md"
 BEGIN, END = "<!-- table: {} -->", "<!-- end of table -->"
+NO_UNITS = ("1", "name", "kind", "choice", "yes/no")
 NO_BOUND = 1e12  # the largest coordinate: a bound that says nothing
 
 
@@ -134,8 +135,24 @@ def key_table(model: type[BaseModel], *told_by: type, without: Sequence[type[Bas
         without: Models whose keys stand in another table.
     """
     told = meanings([model, *told_by])
-    rows = [(f"`{key}`", kind, default, told[name]) for name, key, kind, default in keys_of(model, without)]
+    rows = []
+    for name, key, kind, default in keys_of(model, without):
+        field = model.model_fields[name]
+        more: Any = field.json_schema_extra or {}
+        unit = f" [{more['unit']}]" if more.get("unit") not in (None, *NO_UNITS) else ""
+        rows.append((f"`{key}`", kind, default, f"{field.description}{unit}" if field.description else told[name]))
     return table(("key", "value", "default", "meaning"), rows)
+
+
+def kind_table(name: str) -> str:
+    """The keys of an experiment file of a kind; those of a sweep that a walkthrough has too stand there."""
+    model = kinds.find(name).schemas[0]
+    resolved = [
+        cls
+        for _, cls in inspect.getmembers(inspect.getmodule(model), inspect.isclass)
+        if cls.__module__ == model.__module__ and not issubclass(cls, BaseModel)
+    ]
+    return key_table(model, *resolved, Experiment, without=[models.RunFile] if name == "sweep" else [])
 
 
 def kinds_table(head: str, kinds: Mapping[str, type[BaseModel]], shared: type[BaseModel]) -> str:
@@ -159,16 +176,6 @@ def generators_table() -> str:
         own = [f"`{key}` ({default})" for _, key, _, default in keys if key != "generate"]
         rows.append((f"`{name}`", in_markdown(what.strip().split("\n\n")[0]), ", ".join(own)))
     return table(("generator", "what it makes", "keys and defaults"), rows)
-
-
-def parameters_table() -> str:
-    """Parameters that all techniques with a map have."""
-    rows = []
-    for name, key, kind, default in keys_of(MapParams):
-        field = MapParams.model_fields[name]
-        more: Any = field.json_schema_extra
-        rows.append((f"`{key}`", kind, default, more["unit"], str(field.description)))
-    return table(("parameter", "value", "default", "unit", "meaning"), rows)
 
 
 def parts_table(parts: Mapping[str, type]) -> str:
@@ -213,10 +220,10 @@ RESULTS: Mapping[str, Sequence[str]] = {
     "summary.csv": SUMMARY_COLUMNS,
     "prediction.csv": PREDICTION_COLUMNS,
     "published.csv": published.COLUMNS,
-    "convergence.csv": store.CONVERGENCE_COLUMNS,
+    "convergence.csv": CONVERGENCE_COLUMNS,
     "convergence summary.csv": convergence_report.SUMMARY_COLUMNS,
     "estimates.csv": estimates.COLUMNS,
-    **{f"{name}.csv": columns for name, columns in sweep_store.SweepStore.tables.items() if name != "failures"},
+    **{f"{name}.csv": columns for name, columns in SweepStore.tables.items() if name != "failures"},
     "stability.csv": stability_table.COLUMNS,
     "savings.csv": savings_run.COLUMNS,
     "analysis.csv": analysis_run.COLUMNS,
@@ -237,13 +244,8 @@ TABLES: Mapping[str, Callable[[], str]] = {
     "path": lambda: key_table(schema.PathOptions),
     "camera keyframe": lambda: key_table(schema.CameraKeyframe),
     "orbit": lambda: key_table(schema.Orbit),
-    "walkthrough": lambda: key_table(models.WalkthroughFile, Experiment),
-    "sweep": lambda: key_table(sweep.SweepFile, sweep.Sweep, without=[models.RunFile]),
-    "convergence": lambda: key_table(convergence.ConvergenceFile, convergence.Convergence, Experiment),
+    **{f"kind {name}": partial(kind_table, name) for name in kinds.names()},
     "estimates": lambda: key_table(convergence.EstimatesFile, convergence.Estimates),
-    "stability": lambda: key_table(stability.StabilityFile, stability.Stability),
-    "savings": lambda: key_table(savings.SavingsFile),
-    "analysis": lambda: key_table(analysis.AnalysisFile),
     "analysis camera": lambda: key_table(analysis.AnalysisCamera),
     "curve": lambda: key_table(analysis.CurveFile, analysis.Curve),
     "image": lambda: key_table(models.Image),
@@ -253,8 +255,8 @@ TABLES: Mapping[str, Callable[[], str]] = {
     "views": lambda: key_table(models.Views),
     "third person": lambda: key_table(models.ThirdPerson),
     "metrics": metrics_table,
-    "parameters": parameters_table,
-    "projection": lambda: key_table(models.Projection),
+    "parameters": lambda: key_table(MapParams),
+    "projection": lambda: key_table(Projection),
     "fits": lambda: parts_table(fits()),
     "warps": lambda: parts_table(warps()),
     "stabilisers": lambda: parts_table(stabilisers()),
