@@ -107,7 +107,7 @@ def test_whole_texels_come_back_exactly() -> None:
 
 
 def test_float64_keeps_single_texels_of_a_large_map() -> None:
-    """CATALOGUE savsm: in float32 the last texel of a 1024 x 1024 table is wrong by about 1.6e-2."""
+    """In float32 the last texel of a 1024 x 1024 table is wrong by about 1.6e-2."""
     image = random_image(1024, 1024, 2, seed=7)
     sat = summed_area_table(wp.array(image, dtype=wp.vec2))
     boxes = np.array([[1023, 1023, 1024, 1024], [1000, 1010, 1001, 1011]], np.float32)

@@ -2,7 +2,7 @@
 
 Entry (y, x) of a table is the sum over all texels above row y and left of column x, so that a table has one row and
 one column more than its image, and its first row and column are 0. Sums are float64: in float32 a 1024^2 table of
-values near 1 is wrong by 1.6e-2 on a single texel (CATALOGUE savsm). With u = 2^-53, an H x W image and a box of A
+values near 1 is wrong by 1.6e-2 on a single texel. With u = 2^-53, an H x W image and a box of A
 texels, a box mean differs from the exact one by at most ``8 (H + W) u sum|v| / A`` and the final rounding to float32.
 
 Texels must be finite: one infinity would reach every box below and to the right of it.
