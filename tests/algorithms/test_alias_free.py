@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import small_scenes as small
 
-import wkernels.irregular as irregular
 from algorithms.hard.alias_free import AliasFree
 from algorithms.reference.ray_cast_point_shadow import RayCastPointShadow
 from algorithms.technique import Technique
@@ -196,7 +195,7 @@ def test_lanes_are_the_plain_kernels(light: str, resolution: int, device: str, m
         pytest.skip("lane kernels run on the CPU only")
     images = []
     for lanes in (False, True):
-        monkeypatch.setattr(irregular, "uses_lanes", lambda device, lanes=lanes: lanes)
+        monkeypatch.setattr(hidden, "uses_lanes", lambda device, lanes=lanes: lanes)
         images.append(visibility(AliasFree, small.cluttered(LIGHTS[light]), device, resolution=resolution))
     # the compiler may fuse other multiplications with additions
     assert share_that_differs(*images) <= 1e-4
