@@ -93,6 +93,12 @@ class Adjacency:
         """int32 (E,)."""
         return self.component[self.edge_faces[self.edge_begin[:-1]]]
 
+    @cached_property
+    def component_face(self) -> np.ndarray:
+        """int32 (C,), the first face of each component; all are of its mesh."""
+        first = np.unique(self.component, return_index=True)[1].astype(np.int32)
+        return first[len(first) - len(self.component_closed) :]
+
     def sum_at_edges(self, values: np.ndarray) -> np.ndarray:
         """Sums over the faces of each edge, (E,), of ``values`` (S,)."""
         return np.add.reduceat(values, self.edge_begin[:-1], dtype=np.int32) if len(self.edges) else np.zeros(0, int)

@@ -13,7 +13,7 @@ import warp as wp
 
 from wkernels.casters.edges import Adjacency
 from wkernels.casters.silhouettes import Silhouettes, counted_faces
-from wkernels.device.launch import launch
+from wkernels.workspace.workspace import Workspace
 
 
 @wp.kernel
@@ -51,26 +51,18 @@ class Volumes:
 
 
 def sweep_volumes(
-    points_ws: wp.array,
-    adjacency: Adjacency,
-    turns: np.ndarray,
-    silhouettes: Silhouettes,
-    light_ws: np.ndarray,
-    *,
-    device: str = "cpu",
-    threads: int | None = None,
+    work: Workspace, points_ws: wp.array, adjacency: Adjacency, silhouettes: Silhouettes, light_ws: np.ndarray
 ) -> Volumes:
-    """Sweeps the faces that count away from the light.
+    """Sweeps the faces that a silhouette is the border of away from the light.
 
     Args:
+        work: Where to run.
         points_ws: vec3, shape (V,), the casters' vertices.
         adjacency: Of the casters.
-        turns: int8 (T,), of ``counted_turns``; 0 leaves a caster to another call.
-        silhouettes: ``find_silhouettes`` of them.
+        silhouettes: From the light point.
         light_ws: Light point (4,), w = 1, or 0 for a direction.
-        device, threads: Where ``points_ws`` is, and CPU threads; None for all.
     """
-    caps = counted_faces(adjacency, turns)
+    caps = counted_faces(adjacency, silhouettes)
     is_used = np.zeros(len(points_ws), bool)
     is_used[caps] = True  # the silhouette's vertices are among them
     used, local = np.flatnonzero(is_used).astype(np.int32), np.cumsum(is_used, dtype=np.int32) - 1
@@ -81,10 +73,10 @@ def sweep_volumes(
     sides = [np.stack(corners, axis=1) for corners in quads[: 2 if at_infinity else 1]]
 
     def upload(triangles: np.ndarray) -> wp.array:
-        return wp.array(np.ascontiguousarray(triangles.ravel(), dtype=np.int32), dtype=int, device=device)
+        return wp.array(np.ascontiguousarray(triangles.ravel(), dtype=np.int32), dtype=int, device=work.device)
 
-    extruded = wp.empty(2 * away, dtype=wp.vec4, device=device)
-    inputs = [points_ws, wp.array(used, dtype=int, device=device), wp.vec4(*light_ws)]
-    launch(extrude, away, inputs, [extruded], device=device, threads=threads)
+    extruded = wp.empty(2 * away, dtype=wp.vec4, device=work.device)
+    inputs = [points_ws, wp.array(used, dtype=int, device=work.device), wp.vec4(*light_ws)]
+    work.launch(extrude, away, inputs, [extruded])
     far = caps[:, ::-1] + away if at_infinity else caps[:0]
     return Volumes(extruded, upload(np.concatenate(sides)), upload(caps), upload(far))

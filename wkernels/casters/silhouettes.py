@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 
 from wkernels.casters.edges import NO_COMPONENT, Adjacency, connected
-from wkernels.device.launch import launch
+from wkernels.workspace.workspace import Workspace
 
 ZERO = wp.constant(wp.float64(0.0))
 
@@ -46,25 +46,17 @@ def find_facing(
     facing_out[f] = facing
 
 
-def facing_of(
-    points_ws: wp.array,
-    indices: wp.array,
-    light_ws: np.ndarray,
-    *,
-    device: str = "cpu",
-    threads: int | None = None,
-) -> np.ndarray:
+def facing_of(work: Workspace, points_ws: wp.array, indices: wp.array, light_ws: np.ndarray) -> np.ndarray:
     """Which faces are lit: int8 (T,), 1 or -1, ``find_facing``.
 
     Args:
+        work: Where to run.
         points_ws: vec3, shape (V,).
         indices: int32, shape (3 T,).
         light_ws: Light point (4,): a position with w = 1, or the direction to the light with w = 0.
-        device, threads: Where ``points_ws`` is, and CPU threads; None for all.
     """
-    facing = wp.empty(len(indices) // 3, dtype=wp.int8, device=device)
-    inputs = [points_ws, indices, wp.vec4d(*light_ws)]
-    launch(find_facing, len(facing), inputs, [facing], device=device, threads=threads)
+    facing = wp.empty(len(indices) // 3, dtype=wp.int8, device=work.device)
+    work.launch(find_facing, len(facing), [points_ws, indices, wp.vec4d(*light_ws)], [facing])
     return np.asarray(facing.numpy())
 
 
@@ -85,20 +77,12 @@ def counted_turns(
     return np.where(counts, facing, 0).astype(np.int8)
 
 
-def counted_faces(adjacency: Adjacency, turns: np.ndarray) -> np.ndarray:
-    """The faces that ``counted_turns`` counts, int32 (n, 3), counter-clockwise seen from the light.
-
-    They are a volume's cap at the caster; carried away from the light and reversed, the one at its other end.
-    """
-    used = np.flatnonzero(turns)
-    return np.where(turns[used, None] > 0, adjacency.faces[used], adjacency.faces[used][:, ::-1])
-
-
 @dataclass(frozen=True, eq=False)
 class Silhouettes:
     """The silhouette of all casters from one light point.
 
     Attributes:
+        turns: int8 (T,), the faces that it is the border of, ``counted_turns``.
         ends: int32 (n, 2), vertices of the casters; the lit face lies on the left of the way from the first to the
             second, seen from the light, where outlines run counter-clockwise. The side of a volume that faces outwards
             is then (second, first, first carried away, second carried away).
@@ -107,6 +91,7 @@ class Silhouettes:
         component: int32 (n,), to which caster it belongs, by the adjacency's numbers.
     """
 
+    turns: np.ndarray
     ends: np.ndarray
     weight: np.ndarray
     edge: np.ndarray
@@ -114,12 +99,22 @@ class Silhouettes:
 
 
 def find_silhouettes(adjacency: Adjacency, turns: np.ndarray) -> Silhouettes:
-    """The border of the faces that count; ``turns`` of ``counted_turns``."""
+    """The border of the faces that ``turns`` (T,) counts, ``counted_turns``; 0 for all of a caster's leaves it out."""
     net = adjacency.sum_at_edges(adjacency.edge_turns * turns[adjacency.edge_faces])
     edge = np.flatnonzero(net).astype(np.int32)
     net, ends = net[edge], adjacency.edges[edge]
     ends = np.where(net[:, None] > 0, ends, ends[:, ::-1])
-    return Silhouettes(ends, np.abs(net).astype(np.int32), edge, adjacency.edge_component[edge])
+    return Silhouettes(turns, ends, np.abs(net).astype(np.int32), edge, adjacency.edge_component[edge])
+
+
+def counted_faces(adjacency: Adjacency, silhouettes: Silhouettes) -> np.ndarray:
+    """The faces that a silhouette is the border of, int32 (n, 3), counter-clockwise seen from the light.
+
+    They are a volume's cap at the caster; carried away from the light and reversed, the one at its other end.
+    """
+    used = np.flatnonzero(silhouettes.turns)
+    faces = adjacency.faces[used]
+    return np.where(silhouettes.turns[used, None] > 0, faces, faces[:, ::-1])
 
 
 def potential_edges(adjacency: Adjacency, facings: Sequence[np.ndarray]) -> np.ndarray:

@@ -93,7 +93,7 @@ class Rasteriser:
 
         Args:
             points_ws: vec3, shape (V,).
-            indices: int32, shape (3 T,).
+            indices: int32, shape (3 T,). An array that is given again must hold the same.
             view: Target size and projection; 1 to 8192 pixels per side.
             depth_out: float32 (H, W), a part of a larger image too: linear depth of the nearest surface, +inf where
                 there is none.
@@ -203,12 +203,13 @@ class Rasteriser:
                 (x, y, z). A triangle with any other w below 0, or a vertex that is no number or all 0, is none.
             indices: int32, shape (3 T,).
             view: Target size and projection; 1 to 8192 pixels per side.
-            depth: float32 (H, W): linear depth of what is seen, +inf where that is nothing; None for COUNT_ALL.
+            depth: float32 (H, W): linear depth of what is seen, +inf, behind all faces, where that is nothing; None for
+                COUNT_ALL.
             count_out: int32 (H, W): the sum of what all counted faces add; within 2^24 at any time.
             test: COUNT_NEARER (the face's depth < (1 - ``slack``) ``depth``), COUNT_FARTHER (all others), COUNT_ALL.
             front: What a face that is counter-clockwise seen from the view adds.
-            back: What any other adds. (1, -1) before what is seen counts volumes entered and not left, (-1, 1) behind it
-                does too; (1, 0) and (0, 1) count either kind alone.
+            back: What any other adds. (1, -1) before what is seen counts volumes entered and not left, as does (-1, 1)
+                behind it; (1, 0) and (0, 1) count either kind alone.
             slack: Share of the depth by which a face on what is seen may come out before it and yet count as behind.
 
         Raises:

@@ -41,7 +41,7 @@ def tile_at(lists: TileLists, y: int, x: int):
 
 @wp.func
 def tiles_between(low: wp.float64, high: wp.float64, tile: int, pixels: int):
-    """First and last tile with a pixel centre between two coordinates; the last is before the first if there is none."""
+    """First and last tile with a pixel centre between two coordinates; where there is none the last is the lesser."""
     size = wp.float64(tile)
     last = wp.float64((pixels - 1) / tile)
     a = wp.clamp(wp.ceil((low + HALF) / size) - ONE, ZERO, last)
@@ -197,8 +197,8 @@ class Binner:
             tile: Pixels per side.
             seen: float32 (H, W), linear depth of what is seen, +inf where that is nothing: leaves out shapes that lie
                 before or behind all of a tile. Only for kernels whose shapes hold the points that they change.
-            depth_range: vec2 (shapes,), least and greatest depth of each, which else follow from homogeneous points, and
-                of pixels are unknown.
+            depth_range: vec2 (shapes,), least and greatest depth of each. Else homogeneous points tell, and for pixels
+                any depth will do.
             margin: Pixels by which a shape is taken to be larger, as those who read the lists round differently.
 
         Returns:
@@ -235,7 +235,9 @@ class Binner:
             raise InputError(f"binning: {starts[-1]} entries are too many; take larger tiles")
         out = TileLists()
         out.tile, out.tiles_x = tile, tiles_x
-        out.begin, out.shape = (scratch.array(n, (k,), int) for n, k in (("begin", tiles + 1), ("list", int(starts[-1]))))
+        out.begin, out.shape = (
+            scratch.array(n, (k,), int) for n, k in (("begin", tiles + 1), ("list", int(starts[-1])))
+        )
         wp.copy(out.begin, wp.array(starts[::chunks].astype(np.int32), dtype=int, device="cpu"))
         own = np.ascontiguousarray(starts[:-1].reshape(tiles, chunks).T, dtype=np.int32)
         wp.copy(counts, wp.array(own, dtype=int, device="cpu"))

@@ -13,6 +13,7 @@ from wkernels.scene.views import View
 CLIP_PLANES = wp.constant(5)
 CLIP_VERTICES = wp.constant(3 + CLIP_PLANES)  # each plane adds at most one vertex to a convex polygon
 CLIP_TRIANGLES = wp.constant(1 + CLIP_PLANES)
+NEARLY_ZERO = wp.constant(1.0e-20)  # w of directions: so far away that it makes no difference, and divisible
 GUARD_PIXELS_64 = wp.constant(wp.float64(16384.0))  # triangles.GUARD_PIXELS
 
 Pixel = wp.types.vector(length=5, dtype=wp.float64)  # x w, y w, linear depth, w of the view, and w of the position
@@ -23,15 +24,16 @@ _Polygon = wp.types.matrix(shape=(3 + CLIP_PLANES, 5), dtype=wp.float64)
 def to_homogeneous_pixels_64(view: View, position_ws: wp.vec4):
     """``triangles.to_homogeneous_pixels`` of a homogeneous position in double, and the position's own w.
 
-    True depth is depth / own w. For finite positions w is 1 there, for directions 0.
+    True depth is depth / own w, which is 1 for finite positions and next to nothing for directions.
     """
     half = wp.float64(0.5)
+    own_w = wp.float64(wp.max(position_ws[3], NEARLY_ZERO))
     clip = wp.mat44d(view.ws_to_ss) * wp.vec4d(
-        wp.float64(position_ws[0]), wp.float64(position_ws[1]), wp.float64(position_ws[2]), wp.float64(position_ws[3])
+        wp.float64(position_ws[0]), wp.float64(position_ws[1]), wp.float64(position_ws[2]), own_w
     )
     x = half * (clip[0] + clip[3]) * wp.float64(view.width)
     y = half * (clip[3] - clip[1]) * wp.float64(view.height)
-    return Pixel(x, y, clip[2], clip[3], wp.float64(position_ws[3]))
+    return Pixel(x, y, clip[2], clip[3], own_w)
 
 
 @wp.func

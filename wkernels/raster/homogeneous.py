@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.raster.clipping import is_homogeneous
+from wkernels.raster.clipping import NEARLY_ZERO, is_homogeneous
 from wkernels.raster.lane_culling import OUTSIDE, pack
 from wkernels.raster.triangles import GUARD_PIXELS, SUBPIXELS
 from wkernels.scene.views import View
@@ -16,8 +16,8 @@ from wkernels.scene.views import View
 
 @wp.func
 def to_homogeneous_pixels(view: View, position_ws: wp.vec4):
-    """``triangles.to_homogeneous_pixels``."""
-    clip = view.ws_to_ss * position_ws
+    """``clipping.to_homogeneous_pixels_64`` without the own w, which is not below ``NEARLY_ZERO``."""
+    clip = view.ws_to_ss * wp.vec4(position_ws[0], position_ws[1], position_ws[2], wp.max(position_ws[3], NEARLY_ZERO))
     return wp.vec4(
         0.5 * (clip[0] + clip[3]) * float(view.width), 0.5 * (clip[3] - clip[1]) * float(view.height), clip[2], clip[3]
     )
@@ -43,7 +43,8 @@ def project_homogeneous(
     screen = wp.vec4(0.0, 0.0, 0.0, -1.0)
     if planes_beyond(h, points_ws[i], view.near) == 0:
         over_w = 1.0 / h[3]
-        screen = wp.vec4(h[0] * over_w, h[1] * over_w, h[2] * over_w, points_ws[i][3] * over_w)
+        own_w = wp.max(points_ws[i][3], NEARLY_ZERO)
+        screen = wp.vec4(h[0] * over_w, h[1] * over_w, h[2] * over_w, own_w * over_w)
     screen_out[i] = screen
 
 
@@ -66,6 +67,6 @@ def pack_homogeneous(
         over_w = 1.0 / h[3]
         column = int(wp.floor(h[0] * over_w * float(SUBPIXELS) + 0.5))
         vertex = pack(column, int(wp.floor(h[1] * over_w * float(SUBPIXELS) + 0.5)))
-        key = wp.where(perspective == 1, -points_ws[i][3], h[2]) * over_w
+        key = wp.where(perspective == 1, -wp.max(points_ws[i][3], NEARLY_ZERO), h[2]) * over_w
     vertex_out[i] = vertex
     key_out[i] = key

@@ -311,6 +311,7 @@ class LaneCounter(LaneLists):
         cull: int,
     ) -> None:
         """``Rasteriser.count`` for views that are not warped; ``key`` is ``depth_key(view)``."""
+        self._corners_of = None  # volumes are written anew into the same arrays
         lists = self.list(points_ws, indices, view, key.perspective, cull)
         pitch = -(-(view.width + PIECE) // PIECE) * PIECE  # a piece may begin at the last pixel of a row
         size, pixels = pitch * lists.bands * lists.band_rows + 2 * PIECE, view.width * view.height

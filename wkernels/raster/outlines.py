@@ -107,9 +107,7 @@ def find_outline(shapes: Shapes, s: int, corners: wp.array(dtype=wp.vec2d), at: 
             if e >= ZERO:
                 if j != i:
                     q = q + (p - q) * (e / (e - d))
-                depth = float(wp.inf)
-                if q[4] > ZERO:
-                    depth = float(q[2] / q[4])
+                depth = float(q[2] / q[4])
                 out.nearest = wp.min(out.nearest, depth)
                 out.farthest = wp.max(out.farthest, depth)
                 over_w = ONE / wp.max(q[3], wp.max(wp.abs(q[0]), wp.abs(q[1])) / FARTHEST)
