@@ -169,7 +169,7 @@ def test_slack_moves_faces_on_what_is_seen_behind_it(device: str) -> None:
 def test_drawing_goes_on_after_counting(device: str) -> None:
     """Both keep the corners of what they had last; and a volume may be written into the arrays of the one before."""
     view = view_of(True, 64, 48)
-    shape, other = small_scenes.box((0, 0, -5.0), (2.0, 2.0, 2.0)), small_scenes.sphere((0.5, 0.2, -4.0), 1.0)
+    shape, other = small_scenes.sphere((0.5, 0.2, -5.0), 1.0), small_scenes.box((0, 0, -4.0), (2.0, 2.0, 2.0))
     rasteriser = Rasteriser(device, 2)
     points = wp.array(shape[0].astype(np.float32), dtype=wp.vec3, device=device)
     indices = wp.array(shape[1].ravel(), dtype=int, device=device)

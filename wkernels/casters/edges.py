@@ -125,7 +125,7 @@ def weld(points: np.ndarray, groups: np.ndarray | None = None, tolerance: float 
         label = connected(len(points), pairs[groups[pairs[:, 0]] == groups[pairs[:, 1]]])
         keys = (label,)
     else:
-        keys = (*(np.asarray(points) + 0.0).T, groups)  # makes one zero of both
+        keys = (*np.asarray(points).T, groups)
     order = np.lexsort(keys)  # stable: the first of equals is the lowest vertex
     new = np.ones(len(order), bool)
     if len(order):
