@@ -1,4 +1,4 @@
-"""What a scene file may say (DESIGN.md section 4), as pydantic models. Lengths in scene units, angles in degrees."""
+"""What a scene file may say, as pydantic models. Lengths in scene units, angles in degrees."""
 
 from __future__ import annotations
 

@@ -15,6 +15,7 @@ from algorithms.reference.ray_cast_point_shadow import RayCastPointShadow
 from algorithms.technique import Technique
 from wkernels.device.lanes import uses_lanes
 from wkernels.frame.session import Session
+from wkernels.irregular import hidden
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.lights import DirectionalLight, Light, PointLight
 from wkernels.scene.model import Camera, Mesh, Scene

@@ -7,7 +7,8 @@ import itertools
 import numpy as np
 import pytest
 
-from algorithms.projections.projection import WarpShape, warps
+from algorithms.projections.projection import WarpShape
+from algorithms.projections.table import warps
 from algorithms.projections.warps.lispsm_nrepar import strength
 from wkernels.analysis.perspective_error import (
     TiltedFrustum,

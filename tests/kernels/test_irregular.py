@@ -10,6 +10,7 @@ import warp as wp
 from wkernels.device.lanes import uses_lanes
 from wkernels.device.launch import launch
 from wkernels.frame.session import Session
+from wkernels.irregular import hidden
 from wkernels.irregular.casters import NO_ROWS, count_bands, list_bands
 from wkernels.irregular.grid import LightFace, fit_grid, light_faces
 from wkernels.irregular.samples import PAD, Places, count_before, count_rows, list_rows, sort_rows

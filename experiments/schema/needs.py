@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from experiments.config.messages import Loc
 from experiments.config.source import Source
+from experiments.schema.techniques import TechniqueRun
 from wkernels.casters.closed import is_closed
 from wkernels.errors import InputError
 from wkernels.scene.lights import Light
@@ -62,20 +63,31 @@ def check_needs(technique: Any, scene: Scene, light: Light, *, source: Source | 
         raise source.error(message, loc) if source else InputError(message)
 
 
-def shows_all_lights(
-    runs: Iterable[Any], plugins: Mapping[str, Any], scene: Scene, source: Source | None = None
+def check_runs(
+    runs: Sequence[TechniqueRun],
+    plugins: Mapping[str, Any],
+    scene: Scene,
+    light: int,
+    source: Source | None = None,
 ) -> bool:
-    """Whether an experiment's techniques show all lights together, and are scored by the weighted mean of references.
+    """Refuses techniques that cannot work in a scene, or not together.
 
     Args:
-        runs: Its techniques, ``TechniqueRun``.
+        runs: An experiment's techniques.
         plugins: Technique classes by name.
-        scene: The scene; with one light it makes no difference, and this is False.
+        scene: The scene.
+        light: Index of the light that the experiment asks for.
         source: The experiment file.
 
+    Returns:
+        Whether they show all lights together and are scored by the weighted mean of references; with one light in the
+        scene it makes no difference, and this is False.
+
     Raises:
-        InputError: Some do and others show one light, which no reference suits; or one cannot work with a light.
+        InputError: A need is not met, or some show all lights and others one, which no reference suits.
     """
+    for run in runs:
+        check_needs(plugins[run.name], scene, scene.lights[light], source=source, loc=run.loc)
     if len(scene.lights) < 2:
         return False
     own = {run.label: _shows_all(plugins[run.name], run.params) for run in runs}
@@ -87,8 +99,8 @@ def shows_all_lights(
         )
         raise source.error(message, odd[0].loc) if source else InputError(message)
     for run in runs:
-        for light in scene.lights if own[run.label] else ():
-            check_needs(plugins[run.name], scene, light, source=source, loc=run.loc)
+        for other in scene.lights if own[run.label] else ():
+            check_needs(plugins[run.name], scene, other, source=source, loc=run.loc)
     return any(own.values())
 
 
