@@ -30,6 +30,7 @@ from pydantic import field_validator
 from algorithms.technique import MapParams, Technique, setting
 from wkernels.device.lanes import LANES, Floats, Pairs, flat_floats, runs_of, runs_per_row, uses_lanes
 from wkernels.filters.blur import gaussian_weights, separable_blur
+from wkernels.filters.map_images import sample_bilinear
 from wkernels.filters.moments import (
     Chebyshev,
     depth_range,
@@ -38,7 +39,6 @@ from wkernels.filters.moments import (
     lit_share,
     lit_share_run,
     normalised,
-    sample_bilinear,
 )
 from wkernels.filters.penumbra import (
     LightFootprint,

@@ -58,10 +58,9 @@ def runs_of(values: wp.array, dtype: type, padding: int = 0) -> wp.array:
     Args:
         values: Contiguous, on the CPU, components of 4 bytes.
         dtype: ``Floats``, ``Ints``, ``Pairs`` for an array of vec2, or ``Vectors`` for one of vec3, whose entries begin
-            at every second or third component.
+            at every second or third component; or another vector of components.
         padding: Components of memory behind the last one that may be read. A run that begins less than 16 elements
             before the end needs them.
     """
-    run = {Pairs: 2 * LANES, Vectors: 3 * LANES}.get(dtype, LANES)
-    entries = max(0, values.capacity // 4 + padding - int(run) + 1)
+    entries = max(0, values.capacity // 4 + padding - dtype._length_ + 1)  # type: ignore[attr-defined]
     return wp.array(ptr=values.ptr, dtype=dtype, shape=entries, strides=(4,), device="cpu")

@@ -9,6 +9,7 @@ import warp as wp
 
 from wkernels.device.lanes import LANES, Floats, flat_floats, runs_of, runs_per_row, uses_lanes
 from wkernels.device.launch import launch
+from wkernels.filters.texels import DOUBLE, check_image, components
 
 
 def box_weights(radius: int) -> np.ndarray:
@@ -40,7 +41,7 @@ def blur_rows(first: int, image: wp.array2d[Any], weights: wp.array[float], blur
     y = first + row
     radius = weights.shape[0] / 2
     last = image.shape[1] - 1
-    total = image.dtype()
+    total = image.dtype(0.0)
     for i in range(weights.shape[0]):
         total += weights[i] * image[y, wp.clamp(x + i - radius, 0, last)]
     blurred_out[y, x] = total
@@ -53,7 +54,7 @@ def blur_columns(first: int, image: wp.array2d[Any], weights: wp.array[float], b
     y = first + row
     radius = weights.shape[0] / 2
     last = image.shape[0] - 1
-    total = image.dtype()
+    total = image.dtype(0.0)
     for i in range(weights.shape[0]):
         total += weights[i] * image[wp.clamp(y + i - radius, 0, last), x]
     blurred_out[y, x] = total
@@ -120,9 +121,8 @@ def blur_columns_lanes(
     blurred_out[y * pitch_out + start] = total
 
 
-_TYPES = (wp.vec2, wp.vec4)
 _BLUR_ROWS, _BLUR_COLUMNS = (
-    {t: wp.overload(kernel, [int, wp.array2d(dtype=t), wp.array(dtype=float), wp.array2d(dtype=t)]) for t in _TYPES}
+    {t: wp.overload(kernel, [int, wp.array2d(dtype=t), wp.array(dtype=float), wp.array2d(dtype=t)]) for t in DOUBLE}
     for kernel in (blur_rows, blur_columns)
 )
 
@@ -138,7 +138,7 @@ def separable_blur(
     """``image`` blurred by the outer product of ``weights`` with itself, on the device of the image.
 
     Args:
-        image: (H, W) of vec2 or vec4; a part of a larger one too.
+        image: (H, W) of float, vec2, vec4 or vec8; a part of a larger one too.
         weights: An odd number of taps; ``box_weights`` or ``gaussian_weights``. Used as float32.
         threads: CPU threads; see ``wkernels.device.launch``. The result does not depend on it.
         scratch: Holds the row pass, contiguous; like ``image`` and not the same array. A new one if not given.
@@ -151,24 +151,23 @@ def separable_blur(
         TypeError: The image has another type.
         ValueError: The number of weights is even.
     """
-    if image.dtype not in _TYPES or image.ndim != 2:
-        raise TypeError(f"a blur needs a 2-D array of vec2 or vec4, not {image.dtype.__name__}")
+    texel = check_image(image, "a blur")
     if len(weights) % 2 == 0:
         raise ValueError(f"a blur needs an odd number of weights, not {len(weights)}")
     device = str(image.device)
     scratch = wp.empty_like(image) if scratch is None else scratch
     out = wp.empty_like(image) if out is None else out
     taps = wp.array(np.asarray(weights, np.float32), dtype=float, device=device)
-    components = image.dtype._length_
-    row_floats = image.shape[1] * components
-    dense = image.strides[1] == out.strides[1] == 4 * components and scratch.is_contiguous
+    count = components(texel)
+    row_floats = image.shape[1] * count
+    dense = image.strides[1] == out.strides[1] == 4 * count and scratch.is_contiguous
     if uses_lanes(device) and row_floats >= LANES and dense:
         runs = (image.shape[0], runs_per_row(row_floats))
-        inputs = [flat_floats(image), runs_of(image, Floats), image.strides[0] // 4, row_floats, components, taps]
+        inputs = [flat_floats(image), runs_of(image, Floats), image.strides[0] // 4, row_floats, count, taps]
         launch(blur_rows_lanes, runs, inputs, [runs_of(scratch, Floats)], device=device, threads=threads)
         inputs = [runs_of(scratch, Floats), out.strides[0] // 4, row_floats, image.shape[0], taps]
         launch(blur_columns_lanes, runs, inputs, [runs_of(out, Floats)], device=device, threads=threads)
         return out
-    launch(_BLUR_ROWS[image.dtype], image.shape, [image, taps], [scratch], device=device, threads=threads)
-    launch(_BLUR_COLUMNS[image.dtype], image.shape, [scratch, taps], [out], device=device, threads=threads)
+    launch(_BLUR_ROWS[texel], image.shape, [image, taps], [scratch], device=device, threads=threads)
+    launch(_BLUR_COLUMNS[texel], image.shape, [scratch, taps], [out], device=device, threads=threads)
     return out

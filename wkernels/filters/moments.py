@@ -6,8 +6,8 @@ import numpy as np
 import warp as wp
 
 from wkernels.device.lanes import LANES, Floats, Pairs
-from wkernels.light_maps.comparison_lanes import first_texels
-from wkernels.light_maps.light_map import LightMap, to_texel
+from wkernels.filters.map_images import sample_component_run, texels_round_run
+from wkernels.light_maps.light_map import LightMap
 from wkernels.light_maps.receiver_lanes import ReceiverRun
 
 
@@ -74,7 +74,7 @@ def find_moments_lanes(
     first: int,
     depth: wp.array(dtype=Floats),  # of the map, a run from every texel on
     chebyshev: Chebyshev,
-    begin: int,  # of the layer
+    begin: int,
     pitch: int,
     resolution: int,
     moments_out: wp.array(dtype=Pairs),
@@ -99,64 +99,24 @@ def lit_share_run(chebyshev: Chebyshev, moments: wp.array(dtype=float), receiver
 
     ``moments`` are those of all layers, flat, in the layout of the map.
     """
-    begin = first_texels(light_map, receivers)
-    pitch = light_map.pitch
-    resolution = light_map.resolution
+    at = texels_round_run(light_map, receivers)
+    means = sample_component_run(moments, 2, 0, at)
+    squares = sample_component_run(moments, 2, 1, at)
     layers = receivers.layer
     visible = receivers.visible
-    xs = receivers.x
-    ys = receivers.y
     own = receivers.depth
     near = chebyshev.near
     per_length = chebyshev.per_length
     least = chebyshev.min_variance
     bleeding = chebyshev.bleeding
-    last = resolution - 1
     for k in range(LANES):
-        left = wp.floor(xs[k] - 0.5)
-        top = wp.floor(ys[k] - 0.5)
-        x0 = wp.clamp(int(left), 0, last)
-        x1 = wp.clamp(int(left) + 1, 0, last)
-        y0 = begin[k] + wp.clamp(int(top), 0, last) * pitch
-        y1 = begin[k] + wp.clamp(int(top) + 1, 0, last) * pitch
-        fx = xs[k] - 0.5 - left
-        fy = ys[k] - 0.5 - top
-        a = 2 * (y0 + x0)
-        b = 2 * (y0 + x1)
-        c = 2 * (y1 + x0)
-        d = 2 * (y1 + x1)
-        upper = moments[a] * (1.0 - fx) + moments[b] * fx
-        lower = moments[c] * (1.0 - fx) + moments[d] * fx
-        upper_square = moments[a + 1] * (1.0 - fx) + moments[b + 1] * fx
-        lower_square = moments[c + 1] * (1.0 - fx) + moments[d + 1] * fx
-        mean = upper * (1.0 - fy) + lower * fy
-        square = upper_square * (1.0 - fy) + lower_square * fy
         depth = wp.min((own[k] - near) * per_length, 1.0) - 0.5
-        behind = depth - mean
-        variance = wp.max(square - mean * mean, least)
+        behind = depth - means[k]
+        variance = wp.max(squares[k] - means[k] * means[k], least)
         bound = wp.where(behind > 0.0, variance / (variance + behind * behind), 1.0)
         lit = wp.max(bound - bleeding, 0.0) / (1.0 - bleeding)
         visible[k] = wp.where(layers[k] >= 0, lit, visible[k])
     return visible
-
-
-@wp.func
-def sample_bilinear(image: wp.array(dtype=wp.vec2), light_map: LightMap, layer: int, x: float, y: float):
-    """Bilinear lookup at a position in texels, in the layout of a map; beyond a layer's border the nearest repeats."""
-    last = light_map.resolution - 1
-    left = wp.floor(x - 0.5)
-    top = wp.floor(y - 0.5)
-    x0 = wp.clamp(int(left), 0, last)
-    x1 = wp.clamp(int(left) + 1, 0, last)
-    y0 = wp.clamp(int(top), 0, last)
-    y1 = wp.clamp(int(top) + 1, 0, last)
-    fx = x - 0.5 - left
-    fy = y - 0.5 - top
-    row_0 = to_texel(light_map, layer, 0, y0)
-    row_1 = to_texel(light_map, layer, 0, y1)
-    upper = image[row_0 + x0] * (1.0 - fx) + image[row_0 + x1] * fx
-    lower = image[row_1 + x0] * (1.0 - fx) + image[row_1 + x1] * fx
-    return upper * (1.0 - fy) + lower * fy
 
 
 def depth_range(ws_to_ls: np.ndarray, corners_ws: np.ndarray) -> tuple[float, float]:
