@@ -12,7 +12,7 @@ from filtering_sessions import INSIDE, OPTIONS, render, session, technique
 from algorithms.filtering import pcf_split_kernel
 from algorithms.projections.composition import compose
 from wkernels.device.lanes import uses_lanes
-from wkernels.filters.layer_density import layer_densities
+from wkernels.light_maps.layer_density import layer_densities
 from wkernels.scene.lights import DirectionalLight, Light, PointLight
 from wkernels.scene.model import Camera, Scene
 

@@ -42,9 +42,7 @@ def session(light: Light, device: str, **projection: Any) -> Session:
     return Session(geometry, width=60, height=40, device=device, projection=compose(projection))
 
 
-def random_image(
-    case: str, texel: type, device: str, empty: float = 0.0
-) -> tuple[MapLayout, wp.array, np.ndarray]:
+def random_image(case: str, texel: type, device: str, empty: float = 0.0) -> tuple[MapLayout, wp.array, np.ndarray]:
     """Random texels in the layout of a case, NaN where no layer lies.
 
     Returns:

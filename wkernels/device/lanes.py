@@ -66,6 +66,11 @@ def runs_of(values: wp.array, dtype: type, padding: int = 0) -> wp.array:
     return wp.array(ptr=values.ptr, dtype=dtype, shape=entries, strides=(4,), device="cpu")
 
 
+def in_floats(*values: wp.array) -> list[wp.array]:
+    """Arrays as runs of 16 floats each, whatever their type: what lanes make of outputs."""
+    return [runs_of(array, Floats) for array in values]
+
+
 @wp.func
 def store_run(values: Floats, x0: int, y: int, image_out: wp.array2d(dtype=float)):
     """Writes a run to the pixels x0, x0 + 1, ... of row y, as far as the row goes."""

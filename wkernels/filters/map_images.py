@@ -7,94 +7,126 @@ what a filter reads beyond the border of a layer is the nearest texel inside. ``
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, Ints, runs_of, runs_per_row, uses_lanes
-from wkernels.device.launch import launch
+from wkernels.device.lanes import LANES, Floats, Ints, runs_of
+from wkernels.device.twin import Twin
 from wkernels.filters.blur import separable_blur
 from wkernels.filters.summed_area import summed_area_table
-from wkernels.filters.texels import DOUBLE, components, texel_type
+from wkernels.filters.texels import DOUBLE, texel_type
 from wkernels.light_maps.comparison_lanes import first_texels
+from wkernels.light_maps.host_map import HostMap
 from wkernels.light_maps.light_map import LightMap
 from wkernels.light_maps.receiver_lanes import ReceiverRun
 from wkernels.light_maps.storage import MapLayout, allocate, layer_images
+from wkernels.workspace.workspace import Workspace
 
 
-def image_like(old: wp.array | None, layout: MapLayout, texel: type, device: str) -> wp.array:
-    """An image in the layout of a map: ``old`` where it fits, else new memory; its content is undefined."""
-    fits = old is not None and old.size == layout.texels and texel_type(old) is texel
-    return old if fits else allocate(layout, texel, device)
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MapImage:
+    """Texels in the layout of a map. One that is filled anew is a new object, which stands for its content.
+
+    Attributes:
+        texels: (layout.texels,) of float, vec2, vec4 or vec8.
+        layout: Of the map.
+        slot: The map's, ``HostMap.slot``.
+    """
+
+    texels: wp.array
+    layout: MapLayout
+    slot: Hashable = None
+
+    @property
+    def layers(self) -> list[wp.array]:
+        """Each layer as an image (R, R); views."""
+        return layer_images(self.texels, self.layout)
+
+    @property
+    def texel(self) -> type:
+        """The type of its texels."""
+        return texel_type(self.texels)
 
 
-def fill_layers(
-    kernel: wp.Kernel,
-    lanes: wp.Kernel | None,
-    depth: wp.array,
-    layout: MapLayout,
-    inputs: Sequence[Any],
-    out: wp.array,
-    *,
-    threads: int | None = None,
-) -> wp.array:
+def new_image(work: Workspace, layout: MapLayout, texel: type, old: MapImage | None, slot: Hashable = None) -> MapImage:
+    """An image whose content is undefined, in the memory of an old one where it fits."""
+    fits = old is not None and old.layout.texels == layout.texels and old.texel is texel
+    texels = old.texels if old is not None and fits else allocate(layout, texel, work.device)
+    return MapImage(texels=texels, layout=layout, slot=slot)
+
+
+def in_layer_runs(depth: wp.array, *others: object) -> list:
+    """What lanes take of the inputs that fill a layer: depths as runs, the others, and where rows begin.
+
+    Args:
+        depth: float32 (R, R), a layer of a map.
+        *others: As they are.
+
+    Returns:
+        ``depth`` as ``Floats`` from every texel on, the others, texels from one row to the next, and R. A row's last
+        run begins within the one before.
+    """
+    return [runs_of(depth, Floats), *others, depth.strides[0] // 4, depth.shape[1]]
+
+
+def has_run(depth: wp.array, *others: object) -> bool:
+    """Whether a row of a layer holds a run, as its lanes need."""
+    return bool(depth.shape[1] >= LANES)
+
+
+def fill_image(
+    work: Workspace, kernel: wp.Kernel | Twin, light_map: HostMap, inputs: Sequence[Any], image: MapImage
+) -> None:
     """Fills an image from a map's depths, layer by layer.
 
     Args:
-        kernel: (first, depth (R, R), *inputs, image_out (R, R)), launched over (R, R).
-        lanes: Its lane kernel, if there is one: (first, depth as runs, *inputs, begin, pitch, R, image_out as runs),
-            launched over (R, runs_per_row(R)); begin and pitch are those of the layer, in texels, and a row's last run
-            begins within the one before.
-        depth: float32 (texels,), of the map.
-        layout: Of the map, and of the image.
-        inputs: What else the kernels take.
-        out: (texels,).
-
-    Returns:
-        ``out``.
+        work: Where it runs.
+        kernel: (first, depth (R, R), *inputs, image_out (R, R)), launched over (R, R); lanes take the inputs that
+            ``in_layer_runs`` makes of these.
+        light_map: The map.
+        inputs: What else the kernel takes.
+        image: Of the same layout.
     """
-    device, side = str(out.device), layout.resolution
-    if lanes is not None and uses_lanes(device) and side >= LANES:
-        runs = wp.types.vector(length=int(LANES) * components(texel_type(out)), dtype=wp.float32)
-        depths, images, grid = runs_of(depth, Floats), runs_of(out, runs), (side, runs_per_row(side))
-        for begin in layout.begin:
-            places = [*inputs, begin, layout.pitch, side]
-            launch(lanes, grid, [depths, *places], [images], device=device, threads=threads)
-        return out
-    for layer, image in zip(layer_images(depth, layout), layer_images(out, layout), strict=True):
-        launch(kernel, image.shape, [layer, *inputs], [image], device=device, threads=threads)
+    for depth, layer in zip(layer_images(light_map.map.depth, image.layout), image.layers, strict=True):
+        work.launch(kernel, layer.shape, [depth, *inputs], [layer])
+
+
+def blur_image(work: Workspace, image: MapImage, weights: np.ndarray, old: MapImage | None = None) -> MapImage:
+    """Every layer blurred by the outer product of ``weights`` with itself; see ``separable_blur`` and ``new_image``."""
+    out = new_image(work, image.layout, image.texel, old, image.slot)
+    scratch = work.buffer("blurred rows", (image.layout.resolution, image.layout.resolution), image.texel)
+    for layer, blurred in zip(image.layers, out.layers, strict=True):
+        separable_blur(layer, weights, threads=work.threads, scratch=scratch, out=blurred)
     return out
 
 
-def blur_layers(
-    image: wp.array,
-    layout: MapLayout,
-    weights: np.ndarray,
-    *,
-    threads: int | None = None,
-    scratch: wp.array | None = None,
-    out: wp.array | None = None,
-) -> wp.array:
-    """Every layer of an image blurred; arguments as for ``separable_blur``, images (texels,), scratch (R, R)."""
-    out = image_like(out, layout, texel_type(image), str(image.device))
-    for layer, blurred in zip(layer_images(image, layout), layer_images(out, layout), strict=True):
-        separable_blur(layer, weights, threads=threads, scratch=scratch, out=blurred)
+def sum_image(work: Workspace, image: MapImage, old: wp.array | None = None) -> wp.array:
+    """The summed-area table of every layer, (layers, R + 1, R + 1), float64; in the memory of ``old`` where it fits."""
+    texel, side = DOUBLE[image.texel], image.layout.resolution + 1
+    shape = (len(image.layout.begin), side, side)
+    fits = old is not None and old.shape == shape and old.dtype is texel
+    out: Any = old if fits else wp.empty(shape, dtype=texel, device=work.device)
+    for i, layer in enumerate(image.layers):
+        summed_area_table(layer, threads=work.threads, out=out[i])
     return out
 
 
-def sum_layers(
-    image: wp.array, layout: MapLayout, *, threads: int | None = None, out: wp.array | None = None
-) -> wp.array:
-    """The summed-area table of every layer, (layers, R + 1, R + 1) in float64; memory of ``out`` where it fits."""
-    texel, side = DOUBLE[texel_type(image)], layout.resolution + 1
-    shape = (len(layout.begin), side, side)
-    if out is None or out.shape != shape or out.dtype is not texel:
-        out = wp.empty(shape, dtype=texel, device=image.device)
-    for layer, table in zip(layer_images(image, layout), out, strict=True):
-        summed_area_table(layer, threads=threads, out=table)
-    return out
+def pull_blurred(work: Workspace, name: str, image: MapImage, weights: np.ndarray) -> MapImage:
+    """``blur_image`` as a product under the pass ``name``."""
+    inputs = (image, weights.tobytes())
+    blurred: MapImage = work.product(
+        name, (name, image.slot), inputs, lambda old: blur_image(work, image, weights, old)
+    )
+    return blurred
+
+
+def pull_sums(work: Workspace, name: str, image: MapImage) -> wp.array:
+    """``sum_image`` as a product under the pass ``name``."""
+    return work.product(name, (name, image.slot), (image,), lambda old: sum_image(work, image, old))
 
 
 @wp.func

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, Pairs, runs_of, runs_per_row, uses_lanes
-from wkernels.device.launch import launch
-from wkernels.filters.levels import MapLevels, pitch_of, side_of, sides_of
-from wkernels.filters.map_images import bilinear
+from wkernels.device.lanes import LANES, Floats, Pairs, in_floats, runs_of
+from wkernels.device.twin import Twin
+from wkernels.filters.levels import MapLevels, lay_out_levels, pitch_of, side_of, sides_of
+from wkernels.filters.map_images import MapImage, bilinear
 from wkernels.filters.texels import DOUBLE, components, texel_type
+from wkernels.workspace.workspace import Workspace
 
 
 @wp.func
@@ -48,66 +50,87 @@ def halve_lanes(
     finer: wp.array(dtype=Pairs),  # 32 floats from every float on
     levels: MapLevels,
     level: int,
-    components: int,  # of a texel: 1, 2 or 4; of vec8 the plain kernel is as fast
+    components: int,  # of a texel: 1, 2 or 4
     means_out: wp.array(dtype=Floats),
 ):
-    """``halve`` of a run of floats, where every square is whole; a row's last run begins within the one before."""
+    """``halve`` of a run of texels, where every square is whole; a row's last run begins within the one before."""
     row, layer, run = wp.tid()
     y = first + row
     side = side_of(levels, level)
-    start = wp.min(run * LANES, side * components - LANES)
+    start = wp.min(run * LANES, side - LANES) * components
     pitch = pitch_of(levels, level - 1) * components
-    begin = levels.begin[level - 1, layer] * components + 2 * (y * pitch + start)
-    columns = finer[begin] * 0.5 + finer[begin + pitch] * 0.5
-    means = Floats(0.0)
-    if components == 1:
-        for k in range(LANES):
-            means[k] = columns[2 * k] * 0.5 + columns[2 * k + 1] * 0.5
-    elif components == 2:
-        for k in range(LANES):
-            means[k] = columns[2 * k - k % 2] * 0.5 + columns[2 * k - k % 2 + 2] * 0.5
-    else:
-        for k in range(LANES):
-            means[k] = columns[2 * k - k % 4] * 0.5 + columns[2 * k - k % 4 + 4] * 0.5
-    means_out[(levels.begin[level, layer] + y * side) * components + start] = means
+    finer_row = levels.begin[level - 1, layer] * components + 2 * y * pitch
+    own_row = (levels.begin[level, layer] + y * side) * components
+    for part in range(components):
+        at = start + part * LANES
+        columns = finer[finer_row + 2 * at] * 0.5 + finer[finer_row + 2 * at + pitch] * 0.5
+        means = Floats(0.0)
+        if components == 1:
+            for k in range(LANES):
+                means[k] = columns[2 * k] * 0.5 + columns[2 * k + 1] * 0.5
+        elif components == 2:
+            for k in range(LANES):
+                means[k] = columns[2 * k - k % 2] * 0.5 + columns[2 * k - k % 2 + 2] * 0.5
+        else:
+            for k in range(LANES):
+                means[k] = columns[2 * k - k % 4] * 0.5 + columns[2 * k - k % 4 + 4] * 0.5
+        means_out[own_row + at] = means
 
 
-_HALVE = {t: wp.overload(halve, [int, wp.array(dtype=t), MapLevels, int, wp.array(dtype=t)]) for t in DOUBLE}
+def _in_lanes(finer: wp.array, levels: MapLevels, level: int) -> list:
+    return [runs_of(finer, Pairs), levels, level, components(texel_type(finer))]
 
 
-def find_mips(
-    image: wp.array, levels: MapLevels, *, threads: int | None = None, out: wp.array | None = None
-) -> wp.array:
+def _fits_lanes(finer: wp.array, levels: MapLevels, level: int) -> bool:
+    """Whether every square is whole and a row holds a run; vec8 gains nothing."""
+    whole = levels.resolution % (1 << level) == 0 and levels.resolution >> level >= LANES
+    return whole and components(texel_type(finer)) <= 4
+
+
+for _texel in DOUBLE:
+    wp.overload(halve, [int, wp.array(dtype=_texel), MapLevels, int, wp.array(dtype=_texel)])
+HALVE = Twin(halve, halve_lanes, inputs=_in_lanes, outputs=in_floats, fits=_fits_lanes)
+"""(image or mips, levels, level) -> mips, of which one level is written."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Mips:
+    """The levels of an image from 1 on.
+
+    Attributes:
+        texels: (levels.texels,) of the image's type, or one if there are none.
+        levels: Where they lie.
+    """
+
+    texels: wp.array
+    levels: MapLevels
+
+
+def find_mips(work: Workspace, image: MapImage, old: Mips | None = None) -> Mips:
     """The means of an image over the squares that the texels of all levels from 1 on stand for.
 
     A square at the border of a layer counts with the part of it that lies inside, so that the last level is the mean of
     the layer, for every resolution.
 
     Args:
-        image: (texels,) of float, vec2, vec4 or vec8 in the layout that ``levels`` was made for.
-        levels: ``lay_out_levels``.
-        threads: CPU threads; see ``wkernels.device.launch``. The result does not depend on it.
-        out: Earlier mips whose memory is taken over where it fits.
-
-    Returns:
-        (levels.texels,) of the image's type; at least one texel.
+        work: Where it runs.
+        image: Of float, vec2, vec4 or vec8.
+        old: Earlier mips, whose memory is taken over where it fits.
     """
-    texel, device = texel_type(image), str(image.device)
+    levels = lay_out_levels(image.layout, work.device)
     size = max(levels.texels, 1)
-    if out is None or out.size != size or texel_type(out) is not texel:
-        out = wp.empty(size, dtype=image.dtype, device=device)
-    count = components(texel)
+    fits = old is not None and old.texels.size == size and old.texels.dtype is image.texels.dtype
+    texels = old.texels if old is not None and fits else wp.empty(size, dtype=image.texels.dtype, device=work.device)
     for level, side in enumerate(sides_of(levels)[1:], 1):
-        finer = image if level == 1 else out
-        whole = levels.resolution % (1 << level) == 0
-        if uses_lanes(device) and whole and count <= 4 and side * count >= LANES:
-            grid = (side, levels.layers, runs_per_row(side * count))
-            inputs = [runs_of(finer, Pairs), levels, level, count]
-            launch(halve_lanes, grid, inputs, [runs_of(out, Floats)], device=device, threads=threads)
-        else:
-            grid, inputs = (side, levels.layers, side), [finer, levels, level]
-            launch(_HALVE[texel], grid, inputs, [out], device=device, threads=threads)
-    return out
+        inputs = [image.texels if level == 1 else texels, levels, level]
+        work.launch(HALVE, (side, levels.layers, side), inputs, [texels])
+    return Mips(texels=texels, levels=levels)
+
+
+def pull_mips(work: Workspace, name: str, image: MapImage) -> Mips:
+    """``find_mips`` as a product under the pass ``name``."""
+    mips: Mips = work.product(name, (name, image.slot), (image,), lambda old: find_mips(work, image, old))
+    return mips
 
 
 @wp.func

@@ -2,13 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, Pairs
-from wkernels.filters.map_images import sample_component_run, texels_round_run
-from wkernels.light_maps.light_map import LightMap
-from wkernels.light_maps.receiver_lanes import ReceiverRun
+from wkernels.device.lanes import LANES, Floats, Pairs, flat_floats, runs_of, store_run
+from wkernels.device.twin import Twin
+from wkernels.filters.map_images import (
+    MapImage,
+    fill_image,
+    has_run,
+    in_layer_runs,
+    new_image,
+    sample_bilinear,
+    sample_component_run,
+    texels_round_run,
+)
+from wkernels.light_maps.host_map import HostMap
+from wkernels.light_maps.light_map import Bias, LightMap
+from wkernels.light_maps.receiver_lanes import LaneViews, ReceiverRun, in_lane_views, locate_run
+from wkernels.light_maps.receivers import receiver_of_pixel
+from wkernels.raster.gbuffer import GBuffer
+from wkernels.scene.geometry import Geometry
+from wkernels.workspace.workspace import Workspace
 
 
 @wp.struct
@@ -72,16 +89,16 @@ def find_moments(
 @wp.kernel
 def find_moments_lanes(
     first: int,
-    depth: wp.array(dtype=Floats),  # of the map, a run from every texel on
+    depth: wp.array(dtype=Floats),
     chebyshev: Chebyshev,
-    begin: int,
+    slope_variance: int,  # 0
     pitch: int,
     resolution: int,
     moments_out: wp.array(dtype=Pairs),
 ):
     """``find_moments`` of a run of texels, without the slope term; a row's last run begins within the one before."""
     row, run = wp.tid()
-    at = begin + (first + row) * pitch + wp.min(run * LANES, resolution - LANES)
+    at = (first + row) * pitch + wp.min(run * LANES, resolution - LANES)
     near = chebyshev.near
     per_length = chebyshev.per_length
     depths = depth[at]
@@ -91,6 +108,18 @@ def find_moments_lanes(
         out[2 * k] = z
         out[2 * k + 1] = z * z
     moments_out[2 * at] = out
+
+
+def _in_pairs(image: wp.array) -> list:
+    return [runs_of(image, Pairs)]
+
+
+def _fits_lanes(depth: wp.array, chebyshev: Chebyshev, slope_variance: int) -> bool:
+    return has_run(depth) and not slope_variance
+
+
+FIND_MOMENTS = Twin(find_moments, find_moments_lanes, inputs=in_layer_runs, outputs=_in_pairs, fits=_fits_lanes)
+"""(depth of a layer, chebyshev, slope_variance) -> moments of each of its texels."""
 
 
 @wp.func
@@ -117,6 +146,102 @@ def lit_share_run(chebyshev: Chebyshev, moments: wp.array(dtype=float), receiver
         lit = wp.max(bound - bleeding, 0.0) / (1.0 - bleeding)
         visible[k] = wp.where(layers[k] >= 0, lit, visible[k])
     return visible
+
+
+@wp.kernel
+def look_up_moments(
+    first: int,
+    gbuffer: GBuffer,
+    light_map: LightMap,
+    bias: Bias,
+    chebyshev: Chebyshev,
+    moments: wp.array(dtype=wp.vec2),  # in the layout of the map
+    visibility_out: wp.array2d(dtype=float),
+):
+    """One bilinear lookup of filtered moments per pixel."""
+    row, x = wp.tid()
+    y = first + row
+    receiver = receiver_of_pixel(gbuffer, light_map, bias, y, x)
+    visible = receiver.visible
+    if receiver.layer >= 0:
+        mean = sample_bilinear(moments, light_map, receiver.layer, receiver.x, receiver.y)
+        visible = lit_share(chebyshev, mean, normalised(chebyshev, receiver.depth))
+    visibility_out[y, x] = visible
+
+
+@wp.kernel
+def look_up_moments_lanes(
+    first: int,
+    views: LaneViews,
+    light_map: LightMap,
+    bias: Bias,
+    chebyshev: Chebyshev,
+    moments: wp.array(dtype=float),
+    visibility_out: wp.array2d(dtype=float),
+):
+    """``look_up_moments`` of a run of pixels."""
+    row, column = wp.tid()
+    y = first + row
+    x0 = column * LANES
+    receivers = locate_run(views, light_map, bias, x0, y)
+    visible = receivers.visible
+    if receivers.count > 0:
+        visible = lit_share_run(chebyshev, moments, receivers, light_map)
+    store_run(visible, x0, y, visibility_out)
+
+
+def _in_lanes(gbuffer: GBuffer, light_map: LightMap, bias: Bias, chebyshev: Chebyshev, moments: wp.array) -> list:
+    return in_lane_views(gbuffer, light_map, bias, chebyshev, flat_floats(moments))
+
+
+LOOK_UP_MOMENTS = Twin(look_up_moments, look_up_moments_lanes, inputs=_in_lanes, tolerance=1e-4, flips=1e-3)
+"""(gbuffer, light_map, bias, chebyshev, moments) -> visibility of every pixel."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Moments:
+    """Moments of one light map.
+
+    Attributes:
+        chebyshev: The depth range they are normalised to, and the constants of the bound.
+        image: vec2, mean and mean square of normalised depth.
+    """
+
+    chebyshev: Chebyshev
+    image: MapImage
+
+
+def pull_moments(
+    work: Workspace,
+    light_map: HostMap,
+    geometry: Geometry,
+    *,
+    min_variance: float,
+    bleeding: float,
+    slope_variance: bool = False,
+) -> Moments:
+    """Unfiltered moments of a map as a product.
+
+    Args:
+        work: Where they are kept; of one technique label, whose constants stay.
+        light_map: The map.
+        geometry: Spans the depth range.
+        min_variance: As in ``Chebyshev``.
+        bleeding: Likewise.
+        slope_variance: Whether the variance of depth within each texel is added (Lauritzen 2007).
+    """
+
+    def build(old: Moments | None) -> Moments:
+        box, chebyshev = geometry.bounds(casters=True, receivers=True), Chebyshev()
+        near, far = depth_range(light_map.map.ws_to_ls.numpy(), box.corners)
+        chebyshev.near, chebyshev.per_length = near, 1.0 / (far - near)
+        chebyshev.min_variance, chebyshev.bleeding = min_variance, bleeding
+        image = new_image(work, light_map.layout, wp.vec2, old.image if old else None, light_map.slot)
+        fill_image(work, FIND_MOMENTS, light_map, [chebyshev, int(slope_variance)], image)
+        return Moments(chebyshev=chebyshev, image=image)
+
+    moments: Moments = work.product("moments", ("moments", light_map.slot), (light_map.map,), build)
+    return moments
 
 
 def depth_range(ws_to_ls: np.ndarray, corners_ws: np.ndarray) -> tuple[float, float]:

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, Pairs, runs_of, runs_per_row, uses_lanes
-from wkernels.device.launch import launch
+from wkernels.device.lanes import LANES, Floats, Pairs, in_floats, runs_of
+from wkernels.device.twin import Twin
 from wkernels.filters.levels import MapLevels, lay_out_levels, pitch_of, side_of, sides_of
+from wkernels.light_maps.host_map import HostMap
 from wkernels.light_maps.light_map import LightMap, Receiver
 from wkernels.light_maps.storage import MapLayout
+from wkernels.workspace.workspace import Workspace
 
 UNDECIDED, ALL_LIT, ALL_DARK = wp.constant(0), wp.constant(1), wp.constant(2)
 PLANE_ROUNDING = wp.constant(1.0e-6)  # relative to the plane's terms: four times what float32 loses in their sum
@@ -34,42 +36,47 @@ def join_ranges(a: wp.vec2, b: wp.vec2):
 
 
 @wp.func
-def range_of(depth: wp.array(dtype=float), pyramid: DepthPyramid, level: int, layer: int, column: int, row: int):
-    """The range of one square; ``depth`` is the map's."""
-    at = pyramid.levels.begin[level, layer] + row * pitch_of(pyramid.levels, level) + column
-    result = wp.vec2()
-    if level == 0:
-        result = wp.vec2(wp.abs(depth[at]), wp.abs(depth[at]))
-    else:
-        result = pyramid.ranges[at]
-    return result
+def range_of_depth(depth: float):
+    """The range of one texel."""
+    return wp.vec2(wp.abs(depth), wp.abs(depth))
 
 
 @wp.kernel
-def find_ranges(first: int, depth: wp.array(dtype=float), level: int, pyramid: DepthPyramid):
-    """The range of one square of a level, from the one below; written into the pyramid."""
+def find_first_ranges(first: int, depth: wp.array(dtype=float), levels: MapLevels, ranges_out: wp.array(dtype=wp.vec2)):
+    """The range of one square of level 1."""
     row, layer, x = wp.tid()
     y = first + row
-    last = side_of(pyramid.levels, level - 1) - 1
+    last = levels.resolution - 1
+    upper = levels.begin[0, layer] + 2 * y * levels.pitch
+    lower = levels.begin[0, layer] + wp.min(2 * y + 1, last) * levels.pitch
     right = wp.min(2 * x + 1, last)
-    below = wp.min(2 * y + 1, last)
-    upper = join_ranges(
-        range_of(depth, pyramid, level - 1, layer, 2 * x, 2 * y),
-        range_of(depth, pyramid, level - 1, layer, right, 2 * y),
-    )
-    lower = join_ranges(
-        range_of(depth, pyramid, level - 1, layer, 2 * x, below),
-        range_of(depth, pyramid, level - 1, layer, right, below),
-    )
-    at = pyramid.levels.begin[level, layer] + y * side_of(pyramid.levels, level) + x
-    pyramid.ranges[at] = join_ranges(upper, lower)
+    first_column = join_ranges(range_of_depth(depth[upper + 2 * x]), range_of_depth(depth[lower + 2 * x]))
+    second_column = join_ranges(range_of_depth(depth[upper + right]), range_of_depth(depth[lower + right]))
+    ranges_out[levels.begin[1, layer] + y * side_of(levels, 1) + x] = join_ranges(first_column, second_column)
+
+
+@wp.kernel
+def find_ranges(
+    first: int, finer: wp.array(dtype=wp.vec2), levels: MapLevels, level: int, ranges_out: wp.array(dtype=wp.vec2)
+):
+    """The range of one square of a higher level, from the one below."""
+    row, layer, x = wp.tid()
+    y = first + row
+    side = side_of(levels, level - 1)
+    upper = levels.begin[level - 1, layer] + 2 * y * side
+    lower = levels.begin[level - 1, layer] + wp.min(2 * y + 1, side - 1) * side
+    right = wp.min(2 * x + 1, side - 1)
+    first_column = join_ranges(finer[upper + 2 * x], finer[lower + 2 * x])
+    second_column = join_ranges(finer[upper + right], finer[lower + right])
+    at = levels.begin[level, layer] + y * side_of(levels, level) + x
+    ranges_out[at] = join_ranges(first_column, second_column)
 
 
 @wp.kernel
 def find_first_ranges_lanes(
     first: int, depth: wp.array(dtype=Pairs), levels: MapLevels, ranges_out: wp.array(dtype=Pairs)
 ):
-    """``find_ranges`` of a run of squares of level 1, over an even number of texels per side."""
+    """``find_first_ranges`` of a run of squares, over an even number of texels per side."""
     row, layer, run = wp.tid()
     y = first + row
     side = side_of(levels, 1)
@@ -93,54 +100,84 @@ def find_first_ranges_lanes(
 def find_ranges_lanes(
     first: int, finer: wp.array(dtype=Pairs), levels: MapLevels, level: int, ranges_out: wp.array(dtype=Floats)
 ):
-    """``find_ranges`` of a run of 8 squares of a higher level, likewise."""
+    """``find_ranges`` of a run of squares, likewise; 8 of them at a time."""
     row, layer, run = wp.tid()
     y = first + row
     side = side_of(levels, level)
-    start = wp.min(run * LANES, 2 * side - LANES)
-    pitch = 2 * side_of(levels, level - 1)
-    begin = 2 * levels.begin[level - 1, layer] + 2 * (y * pitch + start)
-    upper = finer[begin]
-    lower = finer[begin + pitch]
-    least = wp.min(upper, lower)
-    greatest = wp.max(upper, lower)
-    ranges = Floats(0.0)
-    for k in range(LANES):
-        even = 2 * k - k % 2
-        ranges[k] = wp.where(k % 2 == 0, wp.min(least[even], least[even + 2]), wp.max(greatest[even], greatest[even + 2]))
-    ranges_out[2 * (levels.begin[level, layer] + y * side) + start] = ranges
+    start = 2 * wp.min(run * LANES, side - LANES)
+    pitch = 4 * side
+    begin = 2 * levels.begin[level - 1, layer] + 2 * y * pitch
+    for part in range(2):
+        at = start + part * LANES
+        least = wp.min(finer[begin + 2 * at], finer[begin + pitch + 2 * at])
+        greatest = wp.max(finer[begin + 2 * at], finer[begin + pitch + 2 * at])
+        ranges = Floats(0.0)
+        for k in range(LANES):
+            i = 2 * k - k % 2
+            ranges[k] = wp.where(k % 2 == 0, wp.min(least[i], least[i + 2]), wp.max(greatest[i], greatest[i + 2]))
+        ranges_out[2 * (levels.begin[level, layer] + y * side) + at] = ranges
 
 
-def find_pyramid(
-    depth: wp.array, layout: MapLayout, *, threads: int | None = None, old: DepthPyramid | None = None
-) -> DepthPyramid:
+def _fits_lanes(finer: wp.array, levels: MapLevels, level: int = 1) -> bool:
+    """Whether every square has four texels below it, and a row holds a run."""
+    sides = sides_of(levels)
+    return sides[level - 1] % 2 == 0 and sides[level] >= LANES
+
+
+def _in_pairs(values: wp.array, *others: object) -> list:
+    return [runs_of(values, Pairs), *others]
+
+
+FIND_FIRST_RANGES = Twin(
+    find_first_ranges, find_first_ranges_lanes, inputs=_in_pairs, outputs=_in_pairs, fits=_fits_lanes
+)
+"""(depth, levels) -> ranges, of which level 1 is written."""
+FIND_RANGES = Twin(find_ranges, find_ranges_lanes, inputs=_in_pairs, outputs=in_floats, fits=_fits_lanes)
+"""(ranges, levels, level) -> ranges, of which one level is written."""
+
+
+def find_pyramid(work: Workspace, depth: wp.array, layout: MapLayout, old: DepthPyramid | None = None) -> DepthPyramid:
     """The pyramid of a light map.
 
     Args:
+        work: Where it runs.
         depth: float32 (texels,), linear depths in the layout.
         layout: Of the map.
-        threads: CPU threads; see ``wkernels.device.launch``. The result does not depend on it.
         old: Of an earlier map; its memory is taken over where it fits.
     """
-    device, out = str(depth.device), DepthPyramid()
-    levels = out.levels = lay_out_levels(layout, device)
+    out = DepthPyramid()
+    levels = out.levels = lay_out_levels(layout, work.device)
     size = max(levels.texels, 1)
     fits = old is not None and old.ranges.size == size
-    out.ranges = old.ranges if fits else wp.empty(size, dtype=wp.vec2, device=device)  # type: ignore[union-attr]
-    sides = sides_of(levels)
-    for level, side in enumerate(sides[1:], 1):
-        whole = uses_lanes(device) and sides[level - 1] % 2 == 0
-        if whole and level == 1 and side >= LANES:
-            grid = (side, levels.layers, runs_per_row(side))
-            pairs = [runs_of(depth, Pairs), levels]
-            launch(find_first_ranges_lanes, grid, pairs, [runs_of(out.ranges, Pairs)], device=device, threads=threads)
-        elif whole and level > 1 and 2 * side >= LANES:
-            grid = (side, levels.layers, runs_per_row(2 * side))
-            pairs = [runs_of(out.ranges, Pairs), levels, level]
-            launch(find_ranges_lanes, grid, pairs, [runs_of(out.ranges, Floats)], device=device, threads=threads)
-        else:
-            launch(find_ranges, (side, levels.layers, side), [depth, level, out], device=device, threads=threads)
+    out.ranges = old.ranges if old and fits else wp.empty(size, dtype=wp.vec2, device=work.device)
+    for level, side in enumerate(sides_of(levels)[1:], 1):
+        twin = FIND_FIRST_RANGES if level == 1 else FIND_RANGES
+        inputs = [depth, levels] if level == 1 else [out.ranges, levels, level]
+        work.launch(twin, (side, levels.layers, side), inputs, [out.ranges])
     return out
+
+
+def pull_pyramid(work: Workspace, light_map: HostMap) -> DepthPyramid:
+    """``find_pyramid`` of a map as a product."""
+
+    def build(old: DepthPyramid | None) -> DepthPyramid:
+        return find_pyramid(work, light_map.map.depth, light_map.layout, old)
+
+    key = ("depth pyramid", light_map.slot)
+    pyramid: DepthPyramid = work.product("depth pyramid", key, (light_map.map,), build)
+    return pyramid
+
+
+@wp.func
+def range_of(depth: wp.array(dtype=float), pyramid: DepthPyramid, level: int, layer: int, column: int, row: int):
+    """The range of one square of any level; ``depth`` is the map's."""
+    at = pyramid.levels.begin[level, layer] + row * pitch_of(pyramid.levels, level) + column
+    result = wp.vec2()
+    if level == 0:
+        result = range_of_depth(depth[at])
+    else:
+        result = pyramid.ranges[at]
+    return result
 
 
 @wp.func
