@@ -9,9 +9,10 @@ import small_scenes as small
 import warp as wp
 
 from algorithms.projections.composition import compose
+from wkernels.filters.map_images import MapImage
 from wkernels.filters.texels import components
 from wkernels.frame.session import Session
-from wkernels.light_maps.storage import PLACES, MapLayout, allocate, lay_out, layer_images
+from wkernels.light_maps.storage import PLACES, allocate, lay_out, layer_images, layers_on_host
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.lights import Light, SphereLight
 
@@ -36,17 +37,23 @@ MAPS: dict[str, tuple[Light, dict[str, Any]]] = {
 """Lights and projections: orthographic, perspective, warped, several layers."""
 
 
+def on_host(image: MapImage) -> np.ndarray:
+    """The layers of an image, (layers, R, R, n)."""
+    host = layers_on_host(image.texels, image.layout)
+    return host if host.ndim == 4 else host[..., None]
+
+
 def session(light: Light, device: str, **projection: Any) -> Session:
     """A small frame of the cluttered scene."""
     geometry = Geometry(small.cluttered(light), device)
     return Session(geometry, width=60, height=40, device=device, projection=compose(projection))
 
 
-def random_image(case: str, texel: type, device: str, empty: float = 0.0) -> tuple[MapLayout, wp.array, np.ndarray]:
+def random_image(case: str, texel: type, device: str, empty: float = 0.0) -> tuple[MapImage, np.ndarray]:
     """Random texels in the layout of a case, NaN where no layer lies.
 
     Returns:
-        The layout; the texels, of which a share ``empty`` is +inf; and their layers on the host, (layers, R, R, n).
+        The image, of whose numbers a share ``empty`` is +inf; and its layers on the host, (layers, R, R, n).
     """
     storage, layers, side = LAYOUTS[case]
     layout, count = lay_out(storage, layers, side), components(texel)
@@ -57,4 +64,4 @@ def random_image(case: str, texel: type, device: str, empty: float = 0.0) -> tup
     texels.fill_(np.nan)
     for image, values in zip(layer_images(texels, layout), host, strict=True):
         wp.copy(image, wp.array(values[..., 0] if count == 1 else values, dtype=texel, device=device))
-    return layout, texels, host
+    return MapImage(texels=texels, layout=layout), host

@@ -8,11 +8,19 @@ import warp as wp
 from light_map_probe import make_bias, upload
 from map_cases import LAYOUTS, MAPS, random_image, session
 
+from wkernels.device import twin
 from wkernels.device.launch import launch
-from wkernels.filters import pyramid as pyramids
 from wkernels.filters.levels import sides_of
 from wkernels.filters.penumbra import depth_at, tap_depth, tap_position
-from wkernels.filters.pyramid import ALL_DARK, ALL_LIT, DepthPyramid, find_pyramid, judge_window, window_range
+from wkernels.filters.pyramid import (
+    ALL_DARK,
+    ALL_LIT,
+    DepthPyramid,
+    find_pyramid,
+    judge_window,
+    pull_pyramid,
+    window_range,
+)
 from wkernels.light_maps.light_map import (
     BIAS_CONSTANT,
     BIAS_NONE,
@@ -22,9 +30,9 @@ from wkernels.light_maps.light_map import (
     Bias,
     LightMap,
     compare_texel,
-    layout_of,
     locate_receiver,
 )
+from wkernels.workspace.workspace import Workspace
 
 BIASES = {"none": BIAS_NONE, "constant": BIAS_CONSTANT, "slope": BIAS_SLOPE, "normal": BIAS_NORMAL}
 
@@ -34,10 +42,9 @@ BIASES = {"none": BIAS_NONE, "constant": BIAS_CONSTANT, "slope": BIAS_SLOPE, "no
 def test_squares_hold_the_range_of_their_texels(
     case: str, lanes: bool, device: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if not lanes:
-        monkeypatch.setattr(pyramids, "uses_lanes", lambda device: False)
-    layout, depth, host = random_image(case, float, device, empty=0.1)
-    pyramid = find_pyramid(depth, layout, threads=3)
+    monkeypatch.setattr(twin, "uses_lanes", lambda device: lanes)
+    image, host = random_image(case, float, device, empty=0.1)
+    pyramid = find_pyramid(Workspace(device, threads=3), image.texels, image.layout)
     sides, begin, ranges = sides_of(pyramid.levels), 0, pyramid.ranges.numpy()
     assert sides[-1] == 1 and len(sides) == pyramid.levels.levels
     for level, side in enumerate(sides[1:], 1):
@@ -47,7 +54,7 @@ def test_squares_hold_the_range_of_their_texels(
             assert tuple(ranges[begin]) == (square.min(), square.max())
             begin += 1
     assert begin == pyramid.levels.texels
-    again = find_pyramid(depth, layout, threads=1, old=pyramid)
+    again = find_pyramid(Workspace(device, threads=1), image.texels, image.layout, pyramid)
     assert again.ranges.ptr == pyramid.ranges.ptr
     np.testing.assert_array_equal(again.ranges.numpy(), ranges)
 
@@ -68,9 +75,10 @@ def ask_ranges(
 
 @pytest.mark.parametrize("case", LAYOUTS)
 def test_ranges_of_windows_are_conservative_and_close(case: str, device: str) -> None:
-    layout, depth, host = random_image(case, float, device, empty=0.02)
-    light_map, pyramid = LightMap(), find_pyramid(depth, layout)
-    light_map.depth, light_map.resolution = depth, layout.resolution
+    image, host = random_image(case, float, device, empty=0.02)
+    layout, light_map = image.layout, LightMap()
+    pyramid = find_pyramid(Workspace(device), image.texels, layout)
+    light_map.depth, light_map.resolution = image.texels, layout.resolution
     rng = np.random.default_rng(5)
     corners = np.sort(rng.integers(0, layout.resolution, (300, 2, 2)), axis=1)
     windows = np.column_stack([rng.integers(0, len(host), 300), corners.reshape(-1, 4)]).astype(np.int32)
@@ -145,7 +153,7 @@ def test_windows_are_judged_as_all_their_comparisons(case: str, bias: str, devic
     light, projection = MAPS[case]
     running = session(light, device, **projection)
     light_map = running.light_map(50)
-    pyramid = find_pyramid(light_map.depth, layout_of(light_map))
+    pyramid = pull_pyramid(running, light_map)
     count, rng = 20000, np.random.default_rng(8)
     box = running.geometry.bounds(receivers=True)
     points = rng.uniform(box.low - 0.5, box.high + 0.5, (count, 3))
@@ -155,7 +163,7 @@ def test_windows_are_judged_as_all_their_comparisons(case: str, bias: str, devic
     half = rng.uniform(0.0, 1.0, (count, 2)) ** 2 * 12.0
     middle = np.where(rng.random((count, 1)) < 0.5, 0.0, rng.uniform(-20.0, 20.0, (count, 2)))
     window = np.hstack([middle - half, middle + half]).astype(np.float32)
-    inputs = [light_map, pyramid, make_bias(BIASES[bias]), upload(points, device), upload(normals, device)]
+    inputs = [light_map.map, pyramid, make_bias(BIASES[bias]), upload(points, device), upload(normals, device)]
     inputs += [wp.array(window, dtype=wp.vec4, device=device), upload(rng.random((40, 2)), device)]
     decided = []
     for reads in (2, 5):
