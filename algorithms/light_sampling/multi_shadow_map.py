@@ -23,9 +23,10 @@ from algorithms.technique import Frame, MapParams, Technique, setting
 from wkernels.device.lanes import LANES
 from wkernels.device.twin import Twin
 from wkernels.light_maps.comparison_lanes import compare_nearest_run
-from wkernels.light_maps.light_map import Bias, LightMap, compare_nearest, locate_receiver
+from wkernels.light_maps.light_map import Bias, LightMap, compare_nearest
 from wkernels.light_maps.receiver_lanes import LaneViews, in_lane_views, locate_run
-from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
+from wkernels.light_maps.receivers import receiver_of_pixel
+from wkernels.raster.gbuffer import GBuffer
 from wkernels.sampling.estimators import standard_error
 from wkernels.scene.geometry import RECEIVES
 from wkernels.workspace.left_out import Omission
@@ -41,24 +42,21 @@ class Skip(Omission):
 def add_comparison(
     first: int, gbuffer: GBuffer, light_map: LightMap, bias: Bias, weight: float, seen_out: wp.array2d(dtype=float)
 ):
-    """Adds ``weight`` to the pixels that one light sample sees."""
+    """Adds ``weight`` to the pixels that one light sample sees; those that receive nothing count as lit."""
     row, x = wp.tid()
     y = first + row
-    if (gbuffer.flags[y, x] & RECEIVES) != 0:
-        position_ws = gbuffer.position_ws[y, x]
-        if not is_back_lit(gbuffer, y, x, to_light(light_map.light_ws, position_ws)):
-            visible = float(1.0)
-            receiver = locate_receiver(light_map, bias, position_ws, gbuffer.normal_ws[y, x])
-            if receiver.layer >= 0:
-                visible = compare_nearest(light_map, receiver)
-            seen_out[y, x] = seen_out[y, x] + weight * visible
+    receiver = receiver_of_pixel(gbuffer, light_map, bias, y, x)
+    visible = receiver.visible
+    if receiver.layer >= 0:
+        visible = compare_nearest(light_map, receiver)
+    seen_out[y, x] = seen_out[y, x] + weight * visible
 
 
 @wp.kernel
 def add_comparison_lanes(
     first: int, views: LaneViews, light_map: LightMap, bias: Bias, weight: float, seen_out: wp.array2d(dtype=float)
 ):
-    """``add_comparison`` of a run of pixels; those that receive nothing may count as lit."""
+    """``add_comparison`` of a run of pixels."""
     row, column = wp.tid()
     y = first + row
     x0 = column * LANES

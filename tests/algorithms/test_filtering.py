@@ -330,7 +330,7 @@ def test_the_footprint_is_the_light_laid_over_the_map(lamp: str, device: str) ->
         "six faces": SphereLight(center=INSIDE.position, radius=0.01),
     }
     frame = session(small.cluttered(lights[lamp]))
-    light_map = frame.light_map(512)
+    light_map = frame.light_map(512).map
     footprint = pull_footprint(frame, light_map)
     assert pull_footprint(frame, light_map) is footprint
     depth = depths_on_host(light_map)

@@ -9,18 +9,21 @@ from light_map_probe import make_bias, upload
 from map_cases import LAYOUTS, MAPS, random_image, session
 
 from wkernels.device import twin
+from wkernels.device.lanes import LANES, runs_per_row
 from wkernels.device.launch import launch
 from wkernels.filters.levels import sides_of
 from wkernels.filters.penumbra import depth_at, tap_depth, tap_position
 from wkernels.filters.pyramid import (
     ALL_DARK,
     ALL_LIT,
+    UNDECIDED,
     DepthPyramid,
     find_pyramid,
     judge_window,
     pull_pyramid,
     window_range,
 )
+from wkernels.filters.pyramid_lanes import LanePyramid, WindowRun, judge_windows_run, lane_pyramid
 from wkernels.light_maps.light_map import (
     BIAS_CONSTANT,
     BIAS_NONE,
@@ -32,6 +35,9 @@ from wkernels.light_maps.light_map import (
     compare_texel,
     locate_receiver,
 )
+from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
+from wkernels.light_maps.receivers import receiver_of_pixel
+from wkernels.raster.gbuffer import GBuffer
 from wkernels.workspace.workspace import Workspace
 
 BIASES = {"none": BIAS_NONE, "constant": BIAS_CONSTANT, "slope": BIAS_SLOPE, "normal": BIAS_NORMAL}
@@ -179,3 +185,73 @@ def test_windows_are_judged_as_all_their_comparisons(case: str, bias: str, devic
         assert lit.sum() > 200 and dark.sum() > 100
         decided.append(lit.sum() / all_lit.sum())
     assert decided[1] >= decided[0] and decided[1] > 0.5
+
+
+@wp.kernel
+def judge_pixels(
+    first: int,
+    gbuffer: GBuffer,
+    light_map: LightMap,
+    bias: Bias,
+    pyramid: DepthPyramid,
+    window: wp.array2d(dtype=wp.vec4),
+    reads: int,
+    judged_out: wp.array2d(dtype=int),
+):
+    row, x = wp.tid()
+    y = first + row
+    receiver = receiver_of_pixel(gbuffer, light_map, bias, y, x)
+    judged_out[y, x] = UNDECIDED
+    if receiver.layer >= 0:
+        w = window[y, x] + wp.vec4(receiver.x, receiver.y, receiver.x, receiver.y)
+        judged_out[y, x] = judge_window(light_map, pyramid, receiver, w[0], w[1], w[2], w[3], reads)
+
+
+@wp.kernel
+def judge_pixels_lanes(
+    first: int,
+    views: LaneViews,
+    light_map: LightMap,
+    bias: Bias,
+    pyramid: LanePyramid,
+    window: wp.array2d(dtype=wp.vec4),
+    reads: int,
+    judged_out: wp.array2d(dtype=int),
+):
+    row, run = wp.tid()
+    y = first + row
+    receivers = locate_run(views, light_map, bias, run * LANES, y)
+    windows = WindowRun()
+    own = wp.min(LANES, judged_out.shape[1] - run * LANES)
+    for k in range(own):
+        w = window[y, run * LANES + k]
+        windows.x0[k] = receivers.x[k] + w[0]
+        windows.y0[k] = receivers.y[k] + w[1]
+        windows.x1[k] = receivers.x[k] + w[2]
+        windows.y1[k] = receivers.y[k] + w[3]
+    judged = judge_windows_run(views, light_map, pyramid, receivers, windows, reads)
+    for k in range(own):
+        judged_out[y, run * LANES + k] = judged[k]
+
+
+@pytest.mark.parametrize("size", [0.0, 3.0, 30.0])
+@pytest.mark.parametrize("case", MAPS)
+def test_lanes_judge_as_the_plain_function(case: str, size: float) -> None:
+    light, projection = MAPS[case]
+    running = session(light, "cpu", **projection)
+    gbuffer, light_map = running.gbuffer(), running.light_map(64)
+    pyramid, (height, width) = pull_pyramid(running, light_map), gbuffer.depth.shape
+    rng = np.random.default_rng(6)
+    middle, half = rng.uniform(-size, size, (height, width, 2)), rng.uniform(0.0, 0.5 * size, (height, width, 2))
+    window = wp.array(np.concatenate([middle - half, middle + half], axis=2), dtype=wp.vec4, device="cpu")
+    seen = set()
+    for bias in (BIAS_NONE, BIAS_SLOPE):
+        for reads in (2, 5):
+            plain, lanes = (wp.zeros((height, width), dtype=int, device="cpu") for _ in range(2))
+            common = [light_map.map, make_bias(bias)]
+            launch(judge_pixels, (height, width), [gbuffer, *common, pyramid, window, reads], [plain])
+            inputs = [lane_views(gbuffer, light_map.map), *common, lane_pyramid(pyramid), window, reads]
+            launch(judge_pixels_lanes, (height, runs_per_row(width)), inputs, [lanes])
+            assert (lanes.numpy() != plain.numpy()).mean() <= 1e-3  # where rounding decides
+            seen |= set(np.unique(plain.numpy()))
+    assert seen >= {UNDECIDED, ALL_DARK} and (size < 3.0 or ALL_LIT in seen)

@@ -66,6 +66,21 @@ def runs_of(values: wp.array, dtype: type, padding: int = 0) -> wp.array:
     return wp.array(ptr=values.ptr, dtype=dtype, shape=entries, strides=(4,), device="cpu")
 
 
+def row_runs(image: wp.array, dtype: type) -> wp.array:
+    """Overlapping runs of each row of an image: entry (y, i) is the run from the i-th component of row y on.
+
+    Args:
+        image: (H, W) on the CPU, whose rows are dense, components of 4 bytes; a part of a larger one too.
+        dtype: As for ``runs_of``, no longer than a row.
+
+    Returns:
+        (H, entries); a view, which must not outlive the image. The last entry of a row ends where the row does.
+    """
+    entries = image.shape[1] * (image.strides[1] // 4) - dtype._length_ + 1  # type: ignore[attr-defined]
+    shape, strides = (image.shape[0], entries), (image.strides[0], 4)
+    return wp.array(ptr=image.ptr, dtype=dtype, shape=shape, strides=strides, device="cpu")
+
+
 def in_floats(*values: wp.array) -> list[wp.array]:
     """Arrays as runs of 16 floats each, whatever their type: what lanes make of outputs."""
     return [runs_of(array, Floats) for array in values]

@@ -113,6 +113,14 @@ def _launch_twin(
     tile: int | None,
 ) -> None:
     kernel, grid, inputs_of, outputs_of = twin.chosen(shape, inputs, outputs, device)
-    if kernel is twin.lanes:
-        twin.observe(lambda others: launch(twin.plain, shape, inputs, others, device=device, threads=threads), outputs)
-    launch(kernel, grid, inputs_of, outputs_of, device=device, threads=threads, tile=tile)
+
+    def run() -> None:
+        launch(kernel, grid, inputs_of, outputs_of, device=device, threads=threads, tile=tile)
+
+    if kernel is twin.plain or not twin.is_watched:
+        run()
+        return
+    with twin.observed(
+        lambda others: launch(twin.plain, shape, inputs, others, device=device, threads=threads), outputs
+    ):
+        run()

@@ -16,8 +16,11 @@ import warp as wp
 from wkernels.device.lanes import runs_per_row, uses_lanes
 
 Grid = tuple[int, ...]
-Observer = Callable[["Twin", Callable[[Sequence[Any]], None], Sequence[Any]], None]
-"""Called with a twin whose lanes are about to run, what runs the plain kernel on given outputs, and the outputs."""
+Observer = Callable[["Twin", Callable[[Sequence[Any]], None], Sequence[Any]], Callable[[], None]]
+"""Called with a twin whose lanes are about to run, what runs the plain kernel on given outputs, and the outputs.
+
+What it returns is called when the lanes have run.
+"""
 
 
 def in_runs(grid: Grid) -> Grid:
@@ -40,7 +43,7 @@ class Twin:
         inputs: The lanes' inputs, made of the plain ones; the same unless given.
         outputs: Likewise.
         grid: The lanes' grid, made of the plain one.
-        fits: Whether lanes can take these plain inputs; always, unless given.
+        fits: Whether lanes can take these plain inputs and outputs; always, unless given.
         compared: Which of the plain outputs must be alike; all, unless given.
         tolerance: Largest difference of what is compared.
         flips: Share of values that may differ by more, where rounding decides a comparison.
@@ -68,15 +71,23 @@ class Twin:
         self, grid: Grid, inputs: Sequence[Any], outputs: Sequence[Any], device: str
     ) -> tuple[wp.Kernel, Grid, Sequence[Any], Sequence[Any]]:
         """The kernel for a device, with its grid, inputs and outputs."""
-        if not uses_lanes(device) or (self.fits is not None and not self.fits(*inputs)):
+        if not uses_lanes(device) or (self.fits is not None and not self.fits(*inputs, *outputs)):
             return self.plain, grid, inputs, outputs
         made = self.inputs(*inputs) if self.inputs else inputs
         return self.lanes, self.grid(grid), made, self.outputs(*outputs) if self.outputs else outputs
 
-    def observe(self, run_plain: Callable[[Sequence[Any]], None], outputs: Sequence[Any]) -> None:
-        """Tells whoever watches that the lanes are about to run."""
-        for observer in self._observers:
-            observer(self, run_plain, outputs)
+    @property
+    def is_watched(self) -> bool:
+        """Whether anybody watches."""
+        return bool(self._observers)
+
+    @contextmanager
+    def observed(self, run_plain: Callable[[Sequence[Any]], None], outputs: Sequence[Any]) -> Iterator[None]:
+        """Tells whoever watches that the lanes are about to run, and that they have."""
+        finishing = [observer(self, run_plain, outputs) for observer in self._observers]
+        yield
+        for finish in finishing:
+            finish()
 
     @classmethod
     @contextmanager

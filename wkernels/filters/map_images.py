@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, Ints, runs_of
+from wkernels.device.lanes import LANES, Floats, Ints
 from wkernels.device.twin import Twin
 from wkernels.filters.blur import separable_blur
 from wkernels.filters.summed_area import summed_area_table
@@ -59,25 +59,6 @@ def new_image(work: Workspace, layout: MapLayout, texel: type, old: MapImage | N
     return MapImage(texels=texels, layout=layout, slot=slot)
 
 
-def in_layer_runs(depth: wp.array, *others: object) -> list:
-    """What lanes take of the inputs that fill a layer: depths as runs, the others, and where rows begin.
-
-    Args:
-        depth: float32 (R, R), a layer of a map.
-        *others: As they are.
-
-    Returns:
-        ``depth`` as ``Floats`` from every texel on, the others, texels from one row to the next, and R. A row's last
-        run begins within the one before.
-    """
-    return [runs_of(depth, Floats), *others, depth.strides[0] // 4, depth.shape[1]]
-
-
-def has_run(depth: wp.array, *others: object) -> bool:
-    """Whether a row of a layer holds a run, as its lanes need."""
-    return bool(depth.shape[1] >= LANES)
-
-
 def fill_image(
     work: Workspace, kernel: wp.Kernel | Twin, light_map: HostMap, inputs: Sequence[Any], image: MapImage
 ) -> None:
@@ -85,8 +66,7 @@ def fill_image(
 
     Args:
         work: Where it runs.
-        kernel: (first, depth (R, R), *inputs, image_out (R, R)), launched over (R, R); lanes take the inputs that
-            ``in_layer_runs`` makes of these.
+        kernel: (first, depth (R, R), *inputs, image_out (R, R)), launched over (R, R).
         light_map: The map.
         inputs: What else the kernel takes.
         image: Of the same layout.

@@ -81,7 +81,7 @@ def _in_lanes(finer: wp.array, levels: MapLevels, level: int) -> list:
     return [runs_of(finer, Pairs), levels, level, components(texel_type(finer))]
 
 
-def _fits_lanes(finer: wp.array, levels: MapLevels, level: int) -> bool:
+def _fits_lanes(finer: wp.array, levels: MapLevels, level: int, means: wp.array) -> bool:
     """Whether every square is whole and a row holds a run; vec8 gains nothing."""
     whole = levels.resolution % (1 << level) == 0 and levels.resolution >> level >= LANES
     return whole and components(texel_type(finer)) <= 4

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, Pairs, flat_floats, runs_of, store_run
+from wkernels.device.lanes import LANES, Floats, Pairs, flat_floats, row_runs, store_run
 from wkernels.device.twin import Twin
 from wkernels.filters.map_images import (
     MapImage,
     fill_image,
-    has_run,
-    in_layer_runs,
     new_image,
     sample_bilinear,
     sample_component_run,
@@ -89,36 +87,41 @@ def find_moments(
 @wp.kernel
 def find_moments_lanes(
     first: int,
-    depth: wp.array(dtype=Floats),
+    depth: wp.array2d(dtype=Floats),  # the rows of a layer, a run from every texel on
     chebyshev: Chebyshev,
     slope_variance: int,  # 0
-    pitch: int,
-    resolution: int,
-    moments_out: wp.array(dtype=Pairs),
+    moments_out: wp.array2d(dtype=Pairs),
 ):
     """``find_moments`` of a run of texels, without the slope term; a row's last run begins within the one before."""
     row, run = wp.tid()
-    at = (first + row) * pitch + wp.min(run * LANES, resolution - LANES)
+    y = first + row
+    start = wp.min(run * LANES, depth.shape[1] - 1)
     near = chebyshev.near
     per_length = chebyshev.per_length
-    depths = depth[at]
+    depths = depth[y, start]
     out = Pairs()
     for k in range(LANES):
         z = wp.min((depths[k] - near) * per_length, 1.0) - 0.5
         out[2 * k] = z
         out[2 * k + 1] = z * z
-    moments_out[2 * at] = out
+    moments_out[y, 2 * start] = out
 
 
-def _in_pairs(image: wp.array) -> list:
-    return [runs_of(image, Pairs)]
+def _layer_in_lanes(depth: wp.array, chebyshev: Chebyshev, slope_variance: int) -> list:
+    return [row_runs(depth, Floats), chebyshev, slope_variance]
 
 
-def _fits_lanes(depth: wp.array, chebyshev: Chebyshev, slope_variance: int) -> bool:
-    return has_run(depth) and not slope_variance
+def _out_in_pairs(image: wp.array) -> list:
+    return [row_runs(image, Pairs)]
 
 
-FIND_MOMENTS = Twin(find_moments, find_moments_lanes, inputs=in_layer_runs, outputs=_in_pairs, fits=_fits_lanes)
+def _fits_lanes(depth: wp.array, chebyshev: Chebyshev, slope_variance: int, image: wp.array) -> bool:
+    return bool(depth.shape[1] >= LANES) and not slope_variance
+
+
+FIND_MOMENTS = Twin(
+    find_moments, find_moments_lanes, inputs=_layer_in_lanes, outputs=_out_in_pairs, fits=_fits_lanes, tolerance=1e-6
+)
 """(depth of a layer, chebyshev, slope_variance) -> moments of each of its texels."""
 
 

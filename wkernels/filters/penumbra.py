@@ -149,7 +149,7 @@ FIND_ROW_MINIMA = Twin(
     find_row_minima_lanes,
     inputs=lambda m: [runs_of(m.depth, Floats), m.layer_begin, m.pitch, m.resolution],
     grid=cell_by_cell,
-    fits=lambda m: m.resolution >= LANES,
+    fits=lambda m, minima: m.resolution >= LANES,
 )
 
 

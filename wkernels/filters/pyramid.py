@@ -118,7 +118,7 @@ def find_ranges_lanes(
         ranges_out[2 * (levels.begin[level, layer] + y * side) + at] = ranges
 
 
-def _fits_lanes(finer: wp.array, levels: MapLevels, level: int = 1) -> bool:
+def _has_runs(levels: MapLevels, level: int) -> bool:
     """Whether every square has four texels below it, and a row holds a run."""
     sides = sides_of(levels)
     return sides[level - 1] % 2 == 0 and sides[level] >= LANES
@@ -129,10 +129,20 @@ def _in_pairs(values: wp.array, *others: object) -> list:
 
 
 FIND_FIRST_RANGES = Twin(
-    find_first_ranges, find_first_ranges_lanes, inputs=_in_pairs, outputs=_in_pairs, fits=_fits_lanes
+    find_first_ranges,
+    find_first_ranges_lanes,
+    inputs=_in_pairs,
+    outputs=_in_pairs,
+    fits=lambda depth, levels, out: _has_runs(levels, 1),
 )
 """(depth, levels) -> ranges, of which level 1 is written."""
-FIND_RANGES = Twin(find_ranges, find_ranges_lanes, inputs=_in_pairs, outputs=in_floats, fits=_fits_lanes)
+FIND_RANGES = Twin(
+    find_ranges,
+    find_ranges_lanes,
+    inputs=_in_pairs,
+    outputs=in_floats,
+    fits=lambda r, levels, level, out: _has_runs(levels, level),
+)
 """(ranges, levels, level) -> ranges, of which one level is written."""
 
 

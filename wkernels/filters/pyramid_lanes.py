@@ -152,9 +152,9 @@ def judge_windows_run(
         rise_size = wp.max(wp.abs(rx0), wp.abs(rx1)) + wp.max(wp.abs(ry0), wp.abs(ry1)) + wp.abs(rise[k])
         size = wp.max(wp.abs(lowest), wp.abs(highest))
         slack = PLANE_ROUNDING * (rise_size + size * scale_size) / least_scale
-        bounded = wp.where(least_scale > 16.0 * PLANE_ROUNDING * scale_size, wp.where(layer[k] >= 0, 1, 0), 0)
-        high = wp.max(highest + (slack - bias[k]), own_depth[k])
-        low = wp.min(lowest - (slack + bias[k]), own_depth[k])
+        bounded = least_scale > 16.0 * PLANE_ROUNDING * scale_size
+        high = wp.where(bounded, wp.max(highest + (slack - bias[k]), own_depth[k]), float(wp.inf))
+        low = wp.where(bounded, wp.min(lowest - (slack + bias[k]), own_depth[k]), -float(wp.inf))
         dark = wp.where(low > greatest[k], wp.where(within[k] != 0, ALL_DARK, UNDECIDED), UNDECIDED)
-        judged[k] = wp.where(bounded != 0, wp.where(high <= least[k], ALL_LIT, dark), UNDECIDED)
+        judged[k] = wp.where(layer[k] >= 0, wp.where(high <= least[k], ALL_LIT, dark), UNDECIDED)
     return judged

@@ -60,12 +60,12 @@ def find_least(first: int, values: wp.array(dtype=float), least_out: wp.array(dt
     least_out[first + wp.tid()] = least
 
 
-TWIN = Twin(
+FIND_ROW_DEPTHS = Twin(
     find_row_depths,
     find_row_depths_lanes,
     inputs=lambda depth: [runs_of(depth, Floats, PADDING), depth.shape[1]],
     grid=cell_by_cell,
-    fits=lambda depth: depth.shape[1] >= LANES,
+    fits=lambda depth, least: depth.shape[1] >= LANES,
 )
 
 
@@ -79,7 +79,7 @@ def least_depth(work: Workspace, gbuffer: GBuffer) -> float:
     """Least linear eye depth of a G-buffer, scene units; +inf where nothing is seen. NaN is ignored."""
     height = gbuffer.depth.shape[0]
     rows, least = work.buffer("row depths", (height,), wp.float32), work.buffer("least depth", (1,), wp.float32)
-    work.launch(TWIN, height, [gbuffer.depth], [rows])
+    work.launch(FIND_ROW_DEPTHS, height, [gbuffer.depth], [rows])
     work.launch(find_least, 1, [rows], [least])
     return float(least.numpy()[0])
 
