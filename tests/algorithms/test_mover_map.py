@@ -17,8 +17,8 @@ from wkernels.frame.session import FrameResult, Session
 from wkernels.light_maps.light_map import depths_on_host
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.model import Mesh, Scene
+from wkernels.temporal.shadow_buffer import mover_shadow
 from wkernels.temporal.shadow_buffer.mover_shadow import OVERLAPS, join_error, join_hidden, mover_regions
-from wkernels.temporal.shadow_buffer.record import mover_shadow
 
 SIZE = (96, 72)
 BOTH = ("tc_soft_paper", "tc_soft_thesis")

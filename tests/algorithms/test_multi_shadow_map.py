@@ -11,7 +11,8 @@ import small_scenes as small
 from pydantic import ValidationError
 
 from algorithms.plugins import find
-from wkernels.frame.session import FrameResult, Session, map_shelf
+from wkernels.frame import map_keeper
+from wkernels.frame.session import FrameResult, Session
 from wkernels.sampling.point_sets import light_set
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.lights import DirectionalLight, Light, PointLight, RectangleLight
@@ -148,7 +149,7 @@ def test_maps_are_kept_while_casters_stand_still(device: str, monkeypatch: pytes
     assert [kept_maps(result) for result in walks["moving"]] == [0, 0, 0]
     assert not np.array_equal(walks["moving"][1].visibility, walks["still"][1].visibility, equal_nan=True)
 
-    monkeypatch.setattr(map_shelf, "MAP_BUDGET_BYTES", 2 * 64 * 64 * 4)
+    monkeypatch.setattr(map_keeper, "MAP_BUDGET_BYTES", 2 * 64 * 64 * 4)
     again = walk(still, device, 3)
     assert [kept_maps(result) for result in again] == [0, 2, 2]
     for kept, drawn in zip(walks["still"], again, strict=True):

@@ -13,7 +13,8 @@ from projection_cases import SUN, posts
 
 from algorithms.plugins import load_all
 from algorithms.projections.composition import compose
-from wkernels.frame.session import FrameResult, Session, near_plane
+from wkernels.frame import near_plane
+from wkernels.frame.session import FrameResult, Session
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.lights import DirectionalLight
 from wkernels.scene.model import Camera, Scene
