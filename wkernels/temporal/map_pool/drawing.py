@@ -10,7 +10,7 @@ import warp as wp
 from wkernels.device.lanes import LANES, Floats, runs_of, uses_lanes
 from wkernels.device.launch import launch
 from wkernels.light_maps.depth_clamp import clamp_casters
-from wkernels.light_maps.drawing import clamps_of
+from wkernels.light_maps.map_look import clamps_of
 from wkernels.raster import Rasteriser, TriangleBlocks
 from wkernels.scene.views import HostView
 from wkernels.temporal.map_pool.pool import CONSTANTS, TILE, MapPool, TexelTile, layer_constants
