@@ -8,8 +8,9 @@ import numpy as np
 import warp as wp
 
 from wkernels.frame.empty_maps import EmptyMaps, may_see
-from wkernels.light_maps.drawing import CasterBlocks, draw_light_map, views_stamp
+from wkernels.light_maps.drawing import CasterBlocks, Drawing, draw_light_map
 from wkernels.light_maps.light_map import LightMap
+from wkernels.light_maps.map_look import views_stamp
 from wkernels.light_maps.storage import MapOptions, lay_out
 from wkernels.raster import Rasteriser
 from wkernels.scene.geometry import Geometry
@@ -73,10 +74,19 @@ class MapKeeper:
         triangle = work.buffer("map triangles", (resolution, layout.pitch), wp.int32) if tagged else None
 
         def build(old: LightMap | None) -> LightMap:
-            way = (self._rasteriser, cull, triangle, options, self._blocks, not work.may_leave_out(BesideViews.BLOCKS))
+            drawing = Drawing(
+                geometry=self._geometry,
+                rasteriser=self._rasteriser,
+                cull=cull,
+                casters=casters,
+                options=options,
+                blocks=self._blocks,
+                everything=not work.may_leave_out(BesideViews.BLOCKS),
+                triangle=triangle,
+            )
             box = self._geometry.bounds(casters=True, moving=MOVING[casters])
             draws = may_see(views, box) or not work.leave_out(EmptyMaps.UNDRAWN, count=len(views))
-            made, beside = draw_light_map(old, self._geometry, views, light_ws, *way, draws=draws, casters=casters)
+            made, beside = draw_light_map(drawing, views, light_ws, old, draws)
             self._empty[key] = not draws
             self._total_bytes += 4 * made.depth.size - self._kept_bytes.get(key, 0)
             self._kept_bytes[key] = 4 * made.depth.size

@@ -18,6 +18,7 @@ threads.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -39,6 +40,7 @@ from wkernels.raster.triangles import (
     CULL_BACK,
     CULL_FRONT,
     CULL_NONE,
+    NO_TRIANGLE,
     ScreenTriangles,
     flag_clipped,
     project_vertices,
@@ -104,12 +106,50 @@ class Rasteriser:
         if (key := self._lane_key(indices, view, depth_out, triangle_out)) is not None:
             self._lanes.draw(points_ws, indices, view, key, depth_out, triangle_out, cull)
             return
-        triangles, total = self._project(points_ws, indices, view, cull)
-        with_triangles = int(triangle_out is not None)
-        if triangle_out is None:
-            triangle_out = self._scratch.array("no triangles", (1, 1), int)
-        draw = draw_tiles if wp.get_device(self.device).is_cpu else draw_stripes
-        draw(self._scratch, triangles, total, with_triangles, depth_out, triangle_out)
+        self._draw_plainly(*self._project(points_ws, indices, view, cull), depth_out, triangle_out)
+
+    def peel(
+        self,
+        points_ws: wp.array,
+        indices: wp.array,
+        view: View,
+        depth_out: Sequence[wp.array],
+        triangle_out: Sequence[wp.array] | None = None,
+        cull: int = CULL_NONE,
+        drawn: Callable[[int], None] = lambda peel: None,
+    ) -> None:
+        """Draws the nearest surfaces of each pixel, one after the other (depth peeling: Everitt 2001).
+
+        The first are those of ``draw``, bit for bit; each further one is the nearest of what lies farther than the one
+        before. Surfaces at one depth, to the last bit, are one.
+
+        Args:
+            points_ws: vec3, shape (V,).
+            indices: int32, shape (3 T,).
+            view: As for ``draw``.
+            depth_out: float32 (H, W) each, nearest first, of the same strides; +inf where there is none left.
+            triangle_out: int32, likewise, or None.
+            cull: CULL_NONE, CULL_BACK or CULL_FRONT, as seen from the view.
+            drawn: Called with the number of each when its images are complete; one of ``triangle_out`` may then be
+                the next one's too.
+        """
+        wake_workers(self.device, self.threads)
+        owners = triangle_out or [None] * len(depth_out)
+        if (key := self._lane_key(indices, view, depth_out[0], owners[0])) is not None:
+            draw = self._lanes.peeler(points_ws, indices, view, key, depth_out[0], cull)
+        else:
+            triangles, total = self._project(points_ws, indices, view, cull)
+            draw = partial(self._peel_plainly, triangles, total)
+        left = True
+        for peel, (depth, owner) in enumerate(zip(depth_out, owners, strict=True)):
+            if left:
+                draw(depth, owner)
+                left = peel + 1 == len(depth_out) or bool(depth.numpy().min() < np.inf)
+            else:
+                depth.fill_(float("inf"))
+                if owner is not None:
+                    owner.fill_(int(NO_TRIANGLE))
+            drawn(peel)
 
     def draw_many(
         self,
@@ -229,6 +269,21 @@ class Rasteriser:
             return
         triangles, total = self._project(points_ws, indices, view, cull)
         count_plainly(self._scratch, triangles, total, counted, count_out)
+
+    def _draw_plainly(
+        self, triangles: ScreenTriangles, total: int, depth_out: wp.array, triangle_out: wp.array | None
+    ) -> None:
+        with_triangles = int(triangle_out is not None)
+        if triangle_out is None:
+            triangle_out = self._scratch.array("no triangles", (1, 1), int)
+        draw = draw_tiles if wp.get_device(self.device).is_cpu else draw_stripes
+        draw(self._scratch, triangles, total, with_triangles, depth_out, triangle_out)
+
+    def _peel_plainly(
+        self, triangles: ScreenTriangles, total: int, depth_out: wp.array, triangle_out: wp.array | None
+    ) -> None:
+        self._draw_plainly(triangles, total, depth_out, triangle_out)
+        triangles.peels, triangles.nearer = 1, depth_out
 
     def _lane_key(
         self, indices: wp.array, view: View, out: wp.array, triangle_out: wp.array | None = None

@@ -78,6 +78,17 @@ class ScreenTriangles:
     height: int
     far: float
     cull: int
+    peels: int  # 1: only what lies farther than ``nearer`` is drawn
+    nearer: wp.array2d(dtype=float)  # (H, W) depths
+
+
+@wp.func
+def is_peeled(triangles: ScreenTriangles, depth: float, y: int, x: int):
+    """Whether a depth counts as part of what is nearer than what is to be drawn."""
+    result = False
+    if triangles.peels != 0:
+        result = depth <= triangles.nearer[y, x]
+    return result
 
 
 @wp.struct
