@@ -59,7 +59,7 @@ class MapKeeper:
         *,
         cull: int,
         tagged: bool,
-        casters: str,
+        caster_set: str,
     ) -> tuple[LightMap, bool]:
         """The map of these views, and whether it is empty; see ``Session.light_map``.
 
@@ -67,16 +67,18 @@ class MapKeeper:
         """
         resolution = views[0].width
         layout = lay_out(options.storage, len(views), resolution)
-        key: Hashable = ("map", slot, resolution, cull, tagged, casters)
+        key: Hashable = ("map", slot, resolution, cull, tagged, caster_set)
         if key not in self._kept_bytes and self._total_bytes + 4 * layout.texels > MAP_BUDGET_BYTES:
-            key = ("map", "shared", resolution, cull, tagged, casters)
+            key = ("map", "shared", resolution, cull, tagged, caster_set)
         triangle = work.buffer("map triangles", (resolution, layout.pitch), wp.int32) if tagged else None
 
         def build(old: LightMap | None) -> LightMap:
             way = (self._rasteriser, cull, triangle, options, self._blocks, not work.may_leave_out(BesideViews.BLOCKS))
-            box = self._geometry.bounds(casters=True, moving=MOVING[casters])
+            box = self._geometry.bounds(casters=True, moving=MOVING[caster_set])
             draws = may_see(views, box) or not work.leave_out(EmptyMaps.UNDRAWN, count=len(views))
-            made, beside = draw_light_map(old, self._geometry, views, light_ws, *way, draws=draws, casters=casters)
+            made, beside = draw_light_map(
+                old, self._geometry, views, light_ws, *way, draws=draws, caster_set=caster_set
+            )
             self._empty[key] = not draws
             self._total_bytes += 4 * made.depth.size - self._kept_bytes.get(key, 0)
             self._kept_bytes[key] = 4 * made.depth.size

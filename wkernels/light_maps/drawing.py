@@ -87,7 +87,7 @@ def draw_light_map(
     blocks: CasterBlocks | None = None,
     everything: bool = False,
     draws: bool = True,
-    casters: str = "all",
+    caster_set: str = "all",
 ) -> tuple[LightMap, int]:
     """Draws a map; a new struct each time, so that the struct itself stands for its content.
 
@@ -103,7 +103,7 @@ def draw_light_map(
         blocks: Of the casters; what lies beside a layer's view is not drawn there.
         everything: Whether all of it is drawn all the same.
         draws: Whether anything is drawn; a map that no caster can be in is only cleared.
-        casters: Which of them, a key of ``Geometry.caster_sets``; blocks are of ``all``, others are drawn in passes.
+        caster_set: Which casters, a key of ``Geometry.caster_sets``; blocks are of ``all``, others are drawn in passes.
 
     Returns:
         The map, and how many pairs of a block of casters and a layer were left out.
@@ -147,12 +147,12 @@ def draw_light_map(
 
     needed = None
     # a single view mostly sees most of the casters: finding out which it does not costs more than drawing them
-    drawing = options.drawing if casters == "all" else "passes"
-    if casters == "all" and blocks is not None and (options.drawing != "passes" or (layers > 1 and not everything)):
+    drawing = options.drawing if caster_set == "all" else "passes"
+    if caster_set == "all" and blocks is not None and (options.drawing != "passes" or (layers > 1 and not everything)):
         needed = blocks.pull()
     beside = rasteriser.draw_many(
         geometry.points_ws,
-        geometry.caster_sets[casters],
+        geometry.caster_sets[caster_set],
         device_views,
         images,
         None if owner is None else [owner] * layers,
