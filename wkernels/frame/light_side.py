@@ -100,7 +100,7 @@ class LightSide(EyeSide):
         samples: LightSamples = self.product("light samples", ("samples", kind, count), inputs, build)
         return samples
 
-    def casters(self) -> wp.uint64:
+    def caster_mesh(self) -> wp.uint64:
         """Id of the casters' triangles for ray queries; 0 where nothing casts."""
         if self.geometry.caster_triangles == 0:
             return wp.uint64(0)
@@ -169,7 +169,7 @@ class LightSide(EyeSide):
         cull: int = CULL_NONE,
         tag_moving_casters: bool = False,
         jitter: Jitter | None = None,
-        casters: str = "all",
+        caster_set: str = "all",
         light: Light | None = None,
     ) -> HostMap:
         """A light's linear depth map, seen from one of its samples.
@@ -181,7 +181,7 @@ class LightSide(EyeSide):
             cull: Which faces are left out, as seen from the light.
             tag_moving_casters: Negative depth where the nearest caster moves.
             jitter: Shift and turn of whatever views the projection gives; what changes it draws the map anew.
-            casters: Which of them, a key of ``Geometry.caster_sets``; the views are those of all.
+            caster_set: Which casters, a key of ``Geometry.caster_sets``; the views are those of all.
             light: Whose sample it is; the light that is asked for unless given.
         """
         source = light or self.light
@@ -190,7 +190,7 @@ class LightSide(EyeSide):
         if jitter is not None:
             views = [jittered_view(view, jitter) for view in views]
         drawn, empty = self._maps.pull(
-            self, views, sample, slot, self._map_options, cull=cull, tagged=tag_moving_casters, casters=casters
+            self, views, sample, slot, self._map_options, cull=cull, tagged=tag_moving_casters, caster_set=caster_set
         )
         out = HostMap(
             map=drawn,

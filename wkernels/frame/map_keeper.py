@@ -62,7 +62,7 @@ class MapKeeper:
         *,
         cull: int,
         tagged: bool,
-        casters: str,
+        caster_set: str,
     ) -> tuple[LightMap, bool]:
         """The map of these views, and whether it is empty; see ``Session.light_map``.
 
@@ -70,14 +70,14 @@ class MapKeeper:
         """
         resolution = views[0].width
         layout = lay_out(options.storage, len(views), resolution)
-        key: Hashable = ("map", slot, resolution, cull, tagged, casters)
+        key: Hashable = ("map", slot, resolution, cull, tagged, caster_set)
         if key not in self._kept_bytes and self._total_bytes + 4 * layout.texels > MAP_BUDGET_BYTES:
-            key = ("map", "shared", resolution, cull, tagged, casters)
+            key = ("map", "shared", resolution, cull, tagged, caster_set)
         triangle = work.buffer("map triangles", (resolution, layout.pitch), wp.int32) if tagged else None
 
         def build(old: LightMap | None) -> LightMap:
-            drawing = self._drawing(work, options, cull, casters, triangle)
-            box = self._geometry.bounds(casters=True, moving=MOVING[casters])
+            drawing = self._drawing(work, options, cull, caster_set, triangle)
+            box = self._geometry.bounds(casters=True, moving=MOVING[caster_set])
             draws = may_see(views, box) or not work.leave_out(EmptyMaps.UNDRAWN, count=len(views))
             made, beside = draw_light_map(drawing, views, light_ws, old, draws)
             self._empty[key] = not draws
@@ -143,14 +143,14 @@ class MapKeeper:
         work: Workspace,
         options: MapOptions,
         cull: int,
-        casters: str = "all",
+        caster_set: str = "all",
         triangle: wp.array | None = None,
     ) -> Drawing:
         return Drawing(
             geometry=self._geometry,
             rasteriser=self._rasteriser,
             cull=cull,
-            casters=casters,
+            caster_set=caster_set,
             options=options,
             blocks=self._blocks,
             everything=not work.may_leave_out(BesideViews.BLOCKS),
