@@ -49,9 +49,8 @@ import numpy as np
 import warp as wp
 
 from algorithms.projections.composition import Composition
-from algorithms.technique import Limit, MapParams, Needs, Technique, setting
+from algorithms.technique import Frame, Limit, MapParams, Needs, Technique, setting
 from wkernels.device.structs import filled
-from wkernels.frame.session import Session as Frame
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.temporal.map_pool.kept_maps import KeptMaps, Schedule
 from wkernels.temporal.map_pool.mover_maps import MoverMaps, mover_reach

@@ -38,9 +38,8 @@ from typing import Literal
 import numpy as np
 import warp as wp
 
-from algorithms.technique import Limit, MapParams, Needs, Technique, setting
+from algorithms.technique import Frame, Limit, MapParams, Needs, Technique, setting
 from wkernels.device.structs import filled
-from wkernels.frame.session import Session as Frame
 from wkernels.projections.jitter import frame_jitter
 from wkernels.temporal.confidence.blending import Blending
 from wkernels.temporal.confidence.history import ConfidentSettings

@@ -254,3 +254,13 @@ def test_lost_layers_are_counted(case: str, cull: int, device: str) -> None:
         assert 0 <= lost.texels - (beyond > 0).sum() <= 2e-4 * layers.size
         assert 0 <= lost.surfaces - beyond.sum() <= 4e-4 * layers.size
     assert count_lost(drawing, look.views, 1).surfaces > 20 and lost.texels == lost.surfaces == 0
+
+
+def test_a_frame_gives_a_layered_map_and_keeps_it_while_nothing_moves() -> None:
+    running = session(INSIDE, "cpu")
+    plain = depths_on_host(running.light_map(32).map)
+    layered = running.layered_map(32, 3, faces=True)
+    np.testing.assert_array_equal(depths_on_host(layered.map), plain)
+    assert layered.peels == 3 and len(np.unique(layered.face.numpy())) > 1
+    assert running.layered_map(32, 3, faces=True) is layered and running.layered_map(32, 2) is not layered
+    assert running.shown is not None and running.shown.from_centre

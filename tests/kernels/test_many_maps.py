@@ -209,3 +209,21 @@ def test_too_many_texels_are_refused(device: str, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(many_maps, "MOST_TEXELS", 5000)
     with pytest.raises(InputError, match="5 maps of 1024 texels are more than one array holds"):
         draw_light_maps(drawing_of(running, "separate"), views, samples)
+
+
+def test_a_frame_gives_many_maps_and_keeps_them_while_nothing_moves() -> None:
+    """The bits of single pulls; kept for the next frame, drawn anew with other samples, and told."""
+    running = session(INSIDE, "cpu")
+    samples = running.light_samples(SAMPLES).host
+    singles = [depths_on_host(running.light_map(32, sample, slot=i).map) for i, sample in enumerate(samples)]
+    maps = running.light_maps(32, samples)
+    assert maps.maps == SAMPLES
+    begin = maps.layer_begin.numpy()
+    depth = maps.depth.numpy()
+    for i, single in enumerate(singles):
+        for layer, expected in enumerate(single):
+            found = depth[begin[i, layer] : begin[i, layer] + 32 * 32].reshape(32, 32)
+            np.testing.assert_array_equal(found, expected)
+    assert running.light_maps(32, samples) is maps
+    assert running.light_maps(32, samples[:3], slot="others").maps == 3
+    assert running.light_maps(32, samples[::-1].copy()) is not maps

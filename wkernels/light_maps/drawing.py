@@ -85,7 +85,7 @@ class Drawing:
         geometry: What casts.
         rasteriser: Draws it.
         cull: Faces that are left out, as seen from the light.
-        casters: Which of them, a key of ``Geometry.caster_sets``; blocks are of ``all``, others are drawn in passes.
+        caster_set: Which of them, a key of ``Geometry.caster_sets``; blocks are of ``all``, others are drawn in passes.
         options: How maps are stored and drawn; drawn in any other way than in passes only with ``blocks``.
         blocks: Of the casters; what lies beside a layer's view is not drawn there.
         everything: Whether all of it is drawn all the same.
@@ -95,7 +95,7 @@ class Drawing:
     geometry: Geometry
     rasteriser: Rasteriser
     cull: int
-    casters: str = "all"
+    caster_set: str = "all"
     options: MapOptions = PLAIN_MAP
     blocks: CasterBlocks | None = None
     everything: bool = False
@@ -124,16 +124,16 @@ class Drawing:
                 clamp_casters(images[layer], clamps[layer], rasteriser.threads)
 
         # a single view mostly sees most of the casters: finding out which it does not costs more than drawing them
-        drawing = self.options.drawing if self.casters == "all" else "passes"
+        drawing = self.options.drawing if self.caster_set == "all" else "passes"
         sorts_out = drawing != "passes" or (len(views) > 1 and not self.everything)
         return rasteriser.draw_many(
             geometry.points_ws,
-            geometry.caster_sets[self.casters],
+            geometry.caster_sets[self.caster_set],
             [view.to_device() for view in views],
             images,
             None if owner is None else [owner] * len(views),
             self.cull,
-            blocks=self.blocks.pull() if self.blocks and sorts_out and self.casters == "all" else None,
+            blocks=self.blocks.pull() if self.blocks and sorts_out and self.caster_set == "all" else None,
             drawing=drawing,
             everything=self.everything,
             drawn=finish,

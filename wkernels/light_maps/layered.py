@@ -90,7 +90,7 @@ def draw_layered_map(
         old: An earlier map whose memory is taken over where it fits.
     """
     geometry, rasteriser = drawing.geometry, drawing.rasteriser
-    device, indices, clamps = rasteriser.device, geometry.caster_sets[drawing.casters], clamps_of(views)
+    device, indices, clamps = rasteriser.device, geometry.caster_sets[drawing.caster_set], clamps_of(views)
     layout = lay_out(drawing.options.storage, len(views), views[0].width)
     shape = (peels, row_stride(layout))
     out = LayeredMap()
@@ -152,7 +152,7 @@ def count_lost(drawing: Drawing, views: Sequence[HostView], peels: int) -> LostP
     for view in views:
         rasteriser.count(
             geometry.points_ws,
-            geometry.caster_sets[drawing.casters],
+            geometry.caster_sets[drawing.caster_set],
             view.to_device(),
             None,
             count,

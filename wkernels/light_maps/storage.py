@@ -38,7 +38,7 @@ MAX_TILE = 2048
 class MapOptions:
     """How a projection wants its maps stored and drawn; neither changes a texel's value.
 
-    A projection (``wkernels.frame.session.LightViews``) may have one as its attribute ``map_options``.
+    A projection (``frame.light_side.LightViews``) may have one as its attribute ``map_options``.
 
     Attributes:
         storage: A key of ``PLACES``.

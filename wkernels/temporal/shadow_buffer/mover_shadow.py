@@ -219,7 +219,7 @@ def add_mover_shadows(
         taps: Of search and filter.
         overlap: A key of ``OVERLAPS``.
     """
-    light_map = frame.light_map(resolution, frame.light.centre, slot="movers", cull=cull, casters="moving")
+    light_map = frame.light_map(resolution, frame.light.centre, slot="movers", cull=cull, caster_set="moving")
     footprint = pull_footprint(frame, light_map)
     with frame.timed("shadows of movers"):
         regions = wp.array(mover_regions(frame, light_map.map).astype(np.float32), dtype=wp.vec4, device=frame.device)

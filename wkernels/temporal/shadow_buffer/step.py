@@ -135,7 +135,7 @@ def add_samples(
             slot=("sample of the frame", turn.slot),
             cull=cull,
             tag_moving_casters=tags,
-            casters="still" if step.apart else "all",
+            caster_set="still" if step.apart else "all",
             light=turn.light,
         )
         light = filled(
