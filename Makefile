@@ -11,7 +11,7 @@ help:
 	@echo "make test    run the tests"
 	@echo "make check   lint and type check"
 	@echo "make bench   time passes beside other renderers, frames, scaling and start-up (5 minutes)"
-	@echo "make table   bring the technique table of README.md up to date"
+	@echo "make table   bring the tables of README.md and docs/formats.md up to date"
 	@echo "make picture make the picture of README.md again, from the demo"
 	@echo "make clean   remove .venv and out/"
 
@@ -36,6 +36,7 @@ bench: $(STAMP)
 
 table: $(STAMP)
 	$(BIN)/python -m experiments.commands.readme
+	$(BIN)/python -m experiments.commands.formats
 
 picture: demo
 	$(BIN)/python -m experiments.commands.picture out/demo docs/images/demo.jpg
