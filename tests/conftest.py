@@ -17,6 +17,7 @@ launching.WORTH_SHARING_S = 0.0
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--device", default="cpu", help="Warp device of the kernel and conformance tests (cpu, cuda:0)")
+    parser.addoption("--plugin", action="append", default=[], help="technique file that tests/conformance is about")
 
 
 @pytest.fixture(scope="session")

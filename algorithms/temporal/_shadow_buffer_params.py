@@ -146,7 +146,7 @@ class ShadowBufferParams(MapParams):
         0.9,
         "a: factor on rho and n before each test once 1 / (1 - a) are remembered; for ageing: frames",
         unit="1",
-        source="CATALOGUE tc_future",
+        source="own specification",
         ge=0.0,
         lt=1.0,
     )

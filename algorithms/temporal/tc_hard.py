@@ -8,14 +8,14 @@ last frame is read by reprojection; a texel of it counts if it saw the same surf
 and the swimming of maps that follow the eye averages out: warped ones have no other remedy (Stingl 2011, sections 3.5
 and 8.2.1).
 
-Deviations; the original was not at hand, the formulas are those of the catalogue:
+Deviations; the original was not at hand, the formulas are our reading of those who cite it:
 - h = c s + (1 - c) h_prev never settles: a confident test overrides all that came before. By default h is the mean of
   all tests weighted by c / E(c), E(c) = 2 / ((m + 1) (m + 2)), over at most ``memory`` frames; m grows with the root of
   the frames that are known, so that a new point takes its first tests as they are and an old one those at texel
   centres only. ``blend: published`` is the recursion with a constant m.
 - A slope bias allows for half a texel of the receiver's plane. ``scale_bias`` allows only for the point's own distance
-  from the centre of its texel: shadows of smooth casters on smooth receivers begin where they should (on ``overlap`` a
-  third less error), but coarse facets that cast upon each other get acne in their creases, so it is off by default.
+  from the centre of its texel: shadows of smooth casters on smooth receivers begin where they should (docs/parts.md),
+  but coarse facets that cast upon each other get acne in their creases, so it is off by default.
 - Four history texels are interpolated, each with its own depth test on the receiver's plane: the point's own depth
   would reject slanted ground. Every read blurs; the variance of all reads behind a sum is kept beside it, and frames
   are forgotten as ``blur`` demands.
@@ -77,7 +77,7 @@ class TcHard(Technique):
             1.0,
             "width of the square that the map's shifts fill; 0: no shift, and nothing converges",
             unit="texels",
-            source="CATALOGUE tc_hard",
+            source="Scherzer, Jeschke and Wimmer 2007; the range is our own specification",
             ge=0.0,
             le=1.0,
         )
@@ -85,7 +85,7 @@ class TcHard(Technique):
             0.0,
             "range of the angles that the map is turned by, about the light's direction; texels grow by up to sqrt(2)",
             unit="degrees",
-            source="CATALOGUE tc_hard",
+            source="Scherzer, Jeschke and Wimmer 2007; the range is our own specification",
             ge=0.0,
             le=90.0,
         )
@@ -96,7 +96,7 @@ class TcHard(Technique):
             9,
             "m: exponent of the confidence, constant where published, else its greatest",
             unit="1",
-            source="CATALOGUE tc_hard, 3 to 15",
+            source="Scherzer, Jeschke and Wimmer 2007; 3 to 15 is our reading",
             ge=0,
             le=64,
         )

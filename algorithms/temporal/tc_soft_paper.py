@@ -18,11 +18,11 @@ Deviations, where the paper is silent or wrong:
   plane, and only texels that pass are interpolated: no surface is mixed with another. ``history: nearest`` reads one
   texel, but history then sticks to the screen under an eye that moves by less than half a pixel a frame.
 - ``turned_away``: history spreads the lit rim of curved casters over their dark side and back, as both pass the depth
-  test. What the whole light lies behind is dark at once, holds no history and gives none: along ``overlap`` and
-  ``big_penumbra`` (walkthroughs) the error is 7 and 6 % smaller in every frame; ``tested`` is the published form.
+  test. What the whole light lies behind is dark at once, holds no history and gives none; ``tested`` is the
+  published form.
 - ``agreement``: a moving eye interpolates history anew in every frame. Where its texels differ n is limited to what the
-  difference is worth (``temporal.sample_window``): 4, 7 and 2 % less error along the three walkthroughs. A fixed window
-  (``largest_n``) of 32 gains a fifth of that; ``stop_error`` ends the drawing of a still picture.
+  difference is worth (``temporal.sample_window``). ``largest_n`` is a fixed window in its place, and ``stop_error``
+  ends the drawing of a still picture. docs/parts.md has what each of these parts is worth.
 - Equation 6 maps a length to the near plane only; here it is pixels, pw H / (2 depth tan(fov / 2)).
 - A filter as wide as the penumbra keeps its bias until the error reaches t (psi = 1/2: n = 626), so that errors fall
   with the fourth root of n at best. From SE = 1/4 on its width is in proportion to SE, which follows the samples;
@@ -36,8 +36,7 @@ Deviations, where the paper is silent or wrong:
 - Under a mover's shadow the sums of a frame are shown, not stored, nor is a start whose blocker search met a mover: the
   next frame starts anew, so that nothing trails. ``movers`` has the ways of Schwaerzler 2009 besides, and none at all.
 - ``mover_map: centre`` is their proposal for moving objects (section 5): a second map that holds nothing else
-  (``temporal.mover_shadow``). On ``static_moving_overlap`` and ``moving_blocker_walkthrough`` a seventh and half of the
-  error goes with it. Movers' shadows then have the faults of percentage-closer soft shadows.
+  (``temporal.mover_shadow``). Movers' shadows then have the faults of percentage-closer soft shadows.
 - ``lights`` is their proposal for several lights in one buffer, which sums all alike; here they are weighted by
   radiance (``temporal.many_lights``). The brightest light's start searches for blockers, the others' are their first
   tests. A mover that only another light sees enters one frame late.

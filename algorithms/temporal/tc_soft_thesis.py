@@ -14,19 +14,18 @@ The other published variant is ``tc_soft_paper`` (Scherzer et al. 2009). Choices
 the printed form is worth a look:
 - n = 1 has no standard error (5.3 is 0/0): 1.
 - ``start``: section 5.2.3 never stores the blur; the shader stores a new point's as 16 samples, rho = 8 (blur + tau)
-  (``blur``). One map's blur then outweighs the next 16: along ``overlap`` the error is 15 % larger.
+  (``blur``). One map's blur then outweighs the next 16. docs/parts.md has what this and other parts are worth.
 - ``pixel_size``: equations 5.9 and 5.10 give a length on the near plane, the shader divides 0.1 by the depth; both take
   the frame's height for 1. Here it is pixels. The published radius is a whole penumbra width (``filter_radius: 1``),
-  which blurs twice as wide as the penumbra is: 8 % more error there.
+  which blurs twice as wide as the penumbra is.
 - ``kernel``: opposite taps, as depth ranges cut the asymmetric published set to a shift of edges on slanted ground.
 - ``zero_blur``: the shader takes a neighbourhood that is wholly lit for none.
 - ``blocker_mean``: equation 5.7 counts all frames, where only those with a blocker add to the sum.
 - ``movers``: ``gradual`` is the text's, with Delta net of the frame's own test, or n would stand still at the shader's
   Delta = 1; ``at_once`` is the shader, which drops everything in one frame.
 - ``turned_away``: surfaces behind which the whole light lies are dark at once and take no part in history, which would
-  spread the lit rim of curved casters over them: 9 and 7 % less error along ``overlap`` and ``big_penumbra``.
-- ``agreement``: n of history whose texels differ is limited to what that is worth (``temporal.sample_window``): 3, 8
-  and 1 % less error along the three walkthroughs.
+  spread the lit rim of curved casters over them.
+- ``agreement``: n of history whose texels differ is limited to what that is worth (``temporal.sample_window``).
 - ``history``: ``linear`` is the shader's; it mixes tags and sentinels of four texels. ``bilinear`` tests each texel, on
   the receiver's plane.
 - ``mover_map: centre``: as in ``tc_soft_paper``.

@@ -1,4 +1,4 @@
-"""Closed forms of Stingl 2011 (chapters 2 to 4) and of the catalogue's derivations, to 1e-6 relative."""
+"""Closed forms of Stingl 2011 (chapters 2 to 4) and what follows from them, to 1e-6 relative."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def overhead(z: Any, near: float, far: float, distance: float = np.inf) -> tuple
 
 
 def test_the_published_example() -> None:
-    """n = 1, f = 40, th = 30 (CATALOGUE lispsm_nopt), recomputed from the formulas to all digits."""
+    """n = 1, f = 40, th = 30 (Stingl 2011, sections 2.3.2 and 3.2.1), recomputed from the formulas to all digits."""
     distance = n_warp("lispsm_nopt", 1.0, 40.0)
     assert distance == pytest.approx(1.0 + np.sqrt(40.0), rel=EXACT) == pytest.approx(7.3246, abs=5e-5)
     m_x, m_z = overhead(np.array([1.0, np.sqrt(40.0), 40.0]), 1.0, 40.0, distance)
@@ -73,7 +73,7 @@ def test_limits_are_equations_2_5_to_2_8() -> None:
         np.testing.assert_allclose(m_z, (far - near) / (2.0 * TAN * z), rtol=EXACT)
 
 
-# printed to three digits in CATALOGUE.md; th = 30, n = 1, f = 100, greatest m_x over the frustum (uniform 100)
+# found once from the formulas, to three digits; th = 30, n = 1, f = 100, greatest m_x over the frustum (uniform 100)
 M_X = {5: 200, 10: 226, 20: 200, 25: 160, 30: 106, 40: 45, 90: 10}
 M_X_REPAR = {5: 100, 10: 100, 20: 111, 25: 112, 30: 103}
 
@@ -136,7 +136,7 @@ def test_no_error_exceeds_the_uniform_maps_by_more_than_the_warps_own_ratio(gamm
 
 
 def test_pseudo_planes() -> None:
-    """CATALOGUE pseudo_near_far: n = 1, f = 300, shares 0.1: 3.465 at both planes, from 14.95 without, but 61.1 at n."""
+    """Stingl 2011, section 4.2: n = 1, f = 300, shares 0.1: 3.465 at both planes, from 14.95 without, but 61.1 at n."""
     near, far = 1.0, 300.0
     planes = pseudo_planes(near, far, 0.1, 0.1)
     distance = n_warp("lispsm_nopt", near, far, pseudo_near=0.1, pseudo_far=0.1)
@@ -171,7 +171,7 @@ def test_split_positions() -> None:
 
 
 def test_partitioned_errors_halve_with_every_doubling_of_the_splits() -> None:
-    """CATALOGUE split_schemes, f/n = 40 and lambda = 0.5: the greatest m_x for 1, 2, 4, 8 and 16 splits, at the eye."""
+    """Stingl 2011, section 3.3.4, f/n = 40 and lambda = 0.5: the greatest m_x for 1, 2, 4, 8 and 16 splits, at the eye."""
     for count, greatest in zip((1, 2, 4, 8, 16), (40.0, 13.4, 6.63, 3.73, 2.35), strict=True):
         borders = split_borders(1.0, 40.0, count)
         z, m_x, _ = partitioned_errors(borders, THETA, [np.inf] * count)
@@ -190,7 +190,7 @@ def test_partitioned_errors_halve_with_every_doubling_of_the_splits() -> None:
 
 
 def test_storage_factors() -> None:
-    """CATALOGUE storage_factor, f/n = 1000, th = 30, and the closed forms that its tables come from."""
+    """Lloyd et al. 2006, f/n = 1000, th = 30: numbers found once, and the closed forms that they come from."""
     near, far = 1.0, 1000.0
     tables = {
         ("log", "none"): (8.65e5, 1677, 90.1, 22.5, 11.5),

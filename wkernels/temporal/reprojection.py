@@ -1,7 +1,8 @@
 """Reprojection: where a point of this frame was in the previous one, and whether the same surface was stored there.
 
-(CATALOGUE tc_hard, tc_soft_thesis, tc_soft_paper.) Points are moved by the camera alone; a moving object's own motion
-is not followed. Pixel (x, y) covers [x, x + 1] x [y, y + 1], row 0 at the top.
+(Scherzer, Jeschke and Wimmer 2007; Schwaerzler 2009, section 5.2; Scherzer et al. 2009, section 3.2.) Points are moved
+by the camera alone; a moving object's own motion is not followed. Pixel (x, y) covers [x, x + 1] x [y, y + 1], row 0 at
+the top.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """One frame's hard shadow tests, added to what pixels remember by their confidence (see ``blending``).
 
-Texels are those of a shadow buffer: rho is the weighted sum of tests, n the frames they count for, and in place of the
-mean blocker they keep the blur of their reads. The plain kernel; ``history_lanes`` has the CPU's.
+Texels are those of a shadow buffer (``shadow_buffer.record``): rho is the weighted sum of tests, n the frames they
+count for, and in place of the mean blocker they keep the blur of their reads. The plain kernel; ``history_lanes`` has
+the CPU's.
 """
 
 from __future__ import annotations

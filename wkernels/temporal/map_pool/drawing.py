@@ -11,7 +11,7 @@ from wkernels.device.lanes import LANES, Floats, runs_of
 from wkernels.device.launch import launch
 from wkernels.device.twin import Twin
 from wkernels.light_maps.depth_clamp import clamp_casters
-from wkernels.light_maps.drawing import clamps_of
+from wkernels.light_maps.map_look import clamps_of
 from wkernels.raster import Rasteriser, TriangleBlocks
 from wkernels.scene.views import HostView
 from wkernels.temporal.map_pool.pool import CONSTANTS, TILE, MapPool, TexelTile, layer_constants

@@ -3,12 +3,7 @@
 A buffer is put aside once the eye has left a share of what it holds: by a cut at once, or step by step by a turn or a
 flight. Points that are new to the last frame's buffer are looked for in those, and what knows most of a point is taken.
 A kept buffer takes 16 bytes a pixel. Nothing is read of moving casters' shadows, nor anything once the light has moved.
-
-Along ``overlap_cuts`` (A, cut to B, A, B, A) at 320 x 180, RMSE against 128 rays in the first frame back, with the last
-frame's buffer alone and with one kept: tc_soft_paper 0.095 and 0.052 (0.052 before that cut away from A), then in B
-0.130 and 0.064, in A 0.100 and 0.054; tc_soft_thesis 0.106 and 0.054 (0.058), 0.152 and 0.069, 0.115 and 0.058. More
-than one kept gains up to 4 % there: it has two views only. A frame takes 2 to 4 % longer, 0.5 to 0.8 of 21 ms on one
-thread, and the first one back 4 to 14 %.
+docs/parts.md has what they are worth.
 """
 
 from __future__ import annotations

@@ -20,8 +20,7 @@ from wkernels.temporal.reprojection import depth_on_plane, is_inside, is_same_de
 
 BILINEAR, NEAREST, LINEAR = wp.constant(256.0), wp.constant(1.0), wp.constant(0.0)
 """Steps a texel for ``fetch_record``. With the nearest texel history sticks to the screen under an eye that moves by
-less than half a pixel a frame; at 0.3 pixels and 64 frames that makes the error of a penumbra five times larger. None
-at all stands for ``fetch_linear``."""
+less than half a pixel a frame. None at all stands for ``fetch_linear``."""
 
 NO_BLOCKER = wp.constant(-1.0e6)  # blocker depth that stands for none in the published shader, for ``fetch_linear``
 

@@ -6,7 +6,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 
 from wkernels.frame.session import Session
-from wkernels.light_maps.drawing import views_stamp
+from wkernels.light_maps.map_look import views_stamp
 
 
 @dataclass
