@@ -12,13 +12,12 @@ from rig import (
     kinds_of,
     lamp,
     moved_world,
-    open_session,
     overlapping_boxes,
     render,
-    run_frames,
     scaled,
     scenes_for,
     small_params,
+    small_session,
     takes_any_mesh,
     truth,
 )
@@ -58,7 +57,7 @@ def image_is_visibility(technique: type[Technique], device: str) -> None:
     cases += [(cases[0][0], (16, 12), technique.Params())]
     for scene, size, params in cases:
         result = render(technique, scene, device, params=params, size=size, frames=frames_of(technique))
-        plain = open_session(scene, device, size=size).gbuffer()
+        plain = small_session(scene, device, size=size).gbuffer()
         assert_is_visibility(result, size, (plain.flags.numpy() & RECEIVES) != 0)
 
 
@@ -152,7 +151,7 @@ def inputs_are_left_untouched(technique: type[Technique], device: str) -> None:
     arrays = ("points_ws", "indices", "triangle_normal_ws", "triangle_mesh", "mesh_flags", "mesh_diffuse")
     fields = ("depth", "position_ws", "normal_ws", "mesh", "triangle", "flags")
     for scene in scenes_for(technique):
-        session = open_session(scene, device)
+        session = small_session(scene, device)
         geometry, gbuffer = session.geometry, session.gbuffer()
         before = {name: getattr(geometry, name).numpy().copy() for name in arrays}
         before |= {name: getattr(gbuffer, name).numpy().copy() for name in fields}
@@ -212,8 +211,7 @@ def bias_sign_is_as_declared(technique: type[Technique], device: str) -> None:
     kind = kinds_of(technique)[0]
     params = small_params(technique, resolution=1024, samples=64)
     scene = overlapping_boxes(small_scenes.light(kind, size=2.0))
-    made = technique(params)
-    error = run_frames(made, open_session(scene, device), 0, 32 if technique.needs.history else 1).visibility
+    error = render(technique, scene, device, params=params, frames=32 if technique.needs.history else 1).visibility
     error = error - truth(technique, overlapping_boxes, device, kind, size=2.0)
     mean, rmse = float(np.nanmean(error)), float(np.sqrt(np.nanmean(error**2)))
     slack = 0.001 + 0.1 * rmse
