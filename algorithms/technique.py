@@ -10,9 +10,12 @@ from typing import Any, ClassVar, Literal
 import warp as wp
 from pydantic import BaseModel, ConfigDict, Field
 
+from wkernels.frame.empty_maps import nothing_hides
 from wkernels.frame.session import Session as Frame
+from wkernels.light_maps.host_map import HostMap
 from wkernels.light_maps.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL, BIAS_SLOPE, Bias
 from wkernels.raster import CULL_FRONT, CULL_NONE
+from wkernels.raster.gbuffer import GBuffer
 from wkernels.workspace.left_out import Omission
 
 ALL_LIGHTS = frozenset({"point", "directional", "rectangle", "disc", "sphere", "linear", "polygon"})
@@ -116,7 +119,7 @@ class Technique(ABC):
     """A shadow technique; subclasses are final and live alone in their file.
 
     Attributes:
-        name: File name = YAML key = id in the catalogue.
+        name: File name = YAML key = id in results.
         family: Folder.
         paper: Keys in references.bib.
         needs: What a scene must offer.
@@ -124,8 +127,8 @@ class Technique(ABC):
         bias_sign: Sign of the mean error by the method's nature: ``darker``, ``lighter`` or ``none``.
         limits: What it must equal in the limit; tested.
         expected_failures: Conformance checks that the published method cannot pass, each with its reason.
-        may_leave_out: Pairs (what, reason) that the technique itself leaves out where they are not needed, besides what
-            every session does; ``explain`` tells them.
+        may_leave_out: What the technique itself leaves out where it is not needed, besides what every session does;
+            ``explain`` tells it.
         stability_limits: Stiff cases (``kinds.stability``) in which the published method breaks by nature, each
             with its reason.
     """
@@ -163,3 +166,26 @@ class Technique(ABC):
     def documentation(cls) -> str:
         """The docstring of the technique's file."""
         return (sys.modules[cls.__module__].__doc__ or "").strip()
+
+
+class MapTechnique(Technique):
+    """A technique that looks every receiver up in one light depth map, seen from the light's centre.
+
+    G-buffer and map are pulled here, and scenes that need no map end here; the file says how a map becomes visibility.
+    """
+
+    Params: ClassVar[type[Params]] = MapParams
+
+    @abstractmethod
+    def shade(self, frame: Frame, gbuffer: GBuffer, light_map: HostMap, visibility_out: wp.array) -> None:
+        """Fills ``visibility_out``, float32 (H, W) as the G-buffer, with 1 where there is no receiver."""
+
+    def render(self, frame: Frame) -> wp.array:
+        gbuffer = frame.gbuffer()
+        visibility = frame.visibility_buffer(gbuffer)
+        if frame.nothing_casts(visibility):
+            return visibility
+        light_map = frame.light_map(self.params.resolution, cull=self.params.cull)
+        if not nothing_hides(frame, gbuffer, light_map, visibility):
+            self.shade(frame, gbuffer, light_map, visibility)
+        return visibility

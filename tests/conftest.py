@@ -22,8 +22,14 @@ WORKER = os.environ.get("PYTEST_XDIST_WORKER")
 if WORKER is not None:  # the workers share the cores; what is about threads asks for them
     os.environ.setdefault("WKERNELS_THREADS", "1")
 
-BY_FIRST_PARAMETER = ("test_conformance.py", "test_checks_can_fail.py", "test_cuda_compiles.py", "test_lanes.py")
+BY_FIRST_PARAMETER = ("test_conformance.py", "test_checks_can_fail.py", "test_cuda_compiles.py")
 """Files whose tests are many and need nothing from each other: each value of the first parameter may go elsewhere."""
+LONG = ("test_twins.py", "test_cuda_compiles.py")
+"""Files that come first, as a core that began one of them last would keep all others waiting."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: item.path.name not in LONG)
 
 
 @pytest.hookimpl(optionalhook=True)

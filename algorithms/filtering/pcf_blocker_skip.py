@@ -21,21 +21,21 @@ from typing import Literal
 
 import warp as wp
 
-from algorithms.technique import Limit, MapParams, Technique, setting
+from algorithms.technique import Frame, Limit, MapParams, MapTechnique, setting
 from wkernels.filters.penumbra import tap_set
-from wkernels.filters.searched_filter import SETTLED, filter_after_search, rim_taps, searched_filter
-from wkernels.frame.empty_maps import nothing_hides
-from wkernels.frame.session import Session as Frame
+from wkernels.filters.searched_filter import Searched, filter_after_search, rim_taps, searched_filter
+from wkernels.light_maps.host_map import HostMap
+from wkernels.raster.gbuffer import GBuffer
 
 
-class PcfBlockerSkip(Technique):
+class PcfBlockerSkip(MapTechnique):
     """One map, a search a pixel, and a filter where the search finds an edge."""
 
     name = "pcf_blocker_skip"
     family = "filtering"
     paper = ("stingl2011", "fernando2005pcss")
     bias_sign = "none"
-    may_leave_out = (SETTLED,)
+    may_leave_out = (Searched.SETTLED,)
     limits = (
         Limit(equals="shadow_map", params={"radius": 0.0, "bilinear": False}),
         Limit(
@@ -60,18 +60,10 @@ class PcfBlockerSkip(Technique):
             True, "each tap is the bilinear mean of 2 x 2 comparisons", unit="yes/no", source="Stingl 2011, sec. 3.6"
         )
 
-    def render(self, frame: Frame) -> wp.array:
-        gbuffer = frame.gbuffer()
-        visibility = frame.visibility_buffer(gbuffer)
-        if frame.nothing_casts(visibility):
-            return visibility
+    def shade(self, frame: Frame, gbuffer: GBuffer, light_map: HostMap, visibility_out: wp.array) -> None:
         p = self.params
-        light_map = frame.light_map(p.resolution, cull=p.cull)
-        if nothing_hides(frame, gbuffer, light_map, visibility):
-            return visibility
         search = rim_taps(p.search_taps) if p.search == "rim" else tap_set("poisson", p.search_taps)
         slot = (p.search, p.search_taps, p.taps, p.radius, p.bilinear)
         searched = searched_filter(frame, search, tap_set("poisson", p.taps), p.radius, p.bilinear, slot)
         with frame.timed("search and filter"):
-            filter_after_search(frame, gbuffer, light_map, p.device_bias, searched, visibility)
-        return visibility
+            filter_after_search(frame, gbuffer, light_map, p.device_bias, searched, visibility_out)

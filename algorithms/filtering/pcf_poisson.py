@@ -14,19 +14,16 @@ that darken the seam at a concave edge; 64 taps cost 16 times the comparisons of
 
 from __future__ import annotations
 
-import numpy as np
 import warp as wp
 
-from algorithms.technique import Limit, MapParams, Technique, setting
-from wkernels.filters.penumbra import tap_set
-from wkernels.filters.searched_filter import filter_after_search, searched_filter
-from wkernels.frame.empty_maps import nothing_hides
-from wkernels.frame.session import Session as Frame
-
-NO_SEARCH = np.zeros((0, 2))
+from algorithms.technique import Frame, Limit, MapParams, MapTechnique, setting
+from wkernels.filters.comparison_filter import FILTER_COMPARISONS
+from wkernels.filters.penumbra import pull_taps
+from wkernels.light_maps.host_map import HostMap
+from wkernels.raster.gbuffer import GBuffer
 
 
-class PcfPoisson(Technique):
+class PcfPoisson(MapTechnique):
     """One map, 64 bilinear comparisons a pixel."""
 
     name = "pcf_poisson"
@@ -46,17 +43,8 @@ class PcfPoisson(Technique):
         )
         radius: float = setting(2.0, "radius of the disc", unit="texels", ge=0.0, le=4096.0)
 
-    def render(self, frame: Frame) -> wp.array:
-        gbuffer = frame.gbuffer()
-        visibility = frame.visibility_buffer(gbuffer)
-        if frame.nothing_casts(visibility):
-            return visibility
-        params = self.params
-        light_map = frame.light_map(params.resolution, cull=params.cull)
-        if nothing_hides(frame, gbuffer, light_map, visibility):
-            return visibility
-        taps = tap_set("poisson", params.taps)
-        searched = searched_filter(frame, NO_SEARCH, taps, params.radius, True, (params.taps, params.radius))
+    def shade(self, frame: Frame, gbuffer: GBuffer, light_map: HostMap, visibility_out: wp.array) -> None:
+        taps = pull_taps(frame, "poisson", self.params.taps)
         with frame.timed("filter comparisons"):
-            filter_after_search(frame, gbuffer, light_map, params.device_bias, searched, visibility)
-        return visibility
+            inputs = [gbuffer, light_map.map, self.params.device_bias, taps, self.params.radius, 1]
+            frame.launch(FILTER_COMPARISONS, visibility_out.shape, inputs, [visibility_out])

@@ -22,16 +22,16 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 import warp as wp
-from pydantic import ValidationInfo, field_validator
 
-from algorithms.technique import Limit, MapParams, Technique, setting
-from wkernels.device.lanes import LANES, Floats, runs_per_row, uses_lanes
+from algorithms.filtering._taps import TapParams, tap_count
+from algorithms.technique import Frame, Limit, MapTechnique, setting
+from wkernels.device.lanes import LANES, Floats, flat_floats, store_run
+from wkernels.device.twin import Twin
 from wkernels.filters.layer_density import pull_layer_densities
-from wkernels.filters.penumbra import check_tap_count, penumbra_filter, pull_taps
+from wkernels.filters.penumbra import penumbra_filter, pull_taps
 from wkernels.filters.penumbra_lanes import keep_without_receiver, penumbra_filter_run
-from wkernels.frame.empty_maps import nothing_hides
-from wkernels.frame.session import Session as Frame
 from wkernels.light_maps.comparison_lanes import SpreadRun
+from wkernels.light_maps.host_map import HostMap
 from wkernels.light_maps.light_map import Bias, LightMap, texels_per_length
 from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.light_maps.receivers import receiver_of_pixel
@@ -50,8 +50,8 @@ def filter_in_world(
     gbuffer: GBuffer,
     light_map: LightMap,
     bias: Bias,
-    taps: wp.array(dtype=wp.vec2),
     densities: wp.array(dtype=wp.vec2),
+    taps: wp.array(dtype=wp.vec2),
     radius: float,
     by_receiver: int,
     bilinear: int,
@@ -78,8 +78,8 @@ def filter_in_world_lanes(
     views: LaneViews,
     light_map: LightMap,
     bias: Bias,
-    taps: wp.array(dtype=wp.vec2),
     densities: wp.array(dtype=float),  # flat (2 layers,)
+    taps: wp.array(dtype=wp.vec2),
     radius: float,
     by_receiver: int,
     bilinear: int,
@@ -108,11 +108,17 @@ def filter_in_world_lanes(
         spread.yy = down
         lit = penumbra_filter_run(views, light_map, receivers, spread, taps, bilinear)
         visible = keep_without_receiver(receivers, lit)
-    for k in range(wp.min(LANES, visibility_out.shape[1] - x0)):
-        visibility_out[y, x0 + k] = visible[k]
+    store_run(visible, x0, y, visibility_out)
 
 
-class PcfSplitKernel(Technique):
+def _in_lanes(gbuffer: GBuffer, light_map: LightMap, bias: Bias, densities: wp.array, *others: object) -> list:
+    return [lane_views(gbuffer, light_map), light_map, bias, flat_floats(densities), *others]
+
+
+FILTER = Twin(filter_in_world, filter_in_world_lanes, inputs=_in_lanes, tolerance=1e-5, flips=1e-3)
+
+
+class PcfSplitKernel(MapTechnique):
     """One kernel of fixed size in the world."""
 
     name = "pcf_split_kernel"
@@ -124,7 +130,7 @@ class PcfSplitKernel(Technique):
     bias_sign = "none"
     limits = (Limit(equals="shadow_map", params={"diameter": 0.0, "bilinear": False}),)
 
-    class Params(MapParams):
+    class Params(TapParams):
         """The kernel."""
 
         diameter: float = setting(
@@ -136,50 +142,13 @@ class PcfSplitKernel(Technique):
             unit="name",
             source="Stingl 2011, eq. 3.9",
         )
-        kernel: Literal["poisson", "box"] = setting(
-            "poisson", "shape: poisson disc, or box of k x k taps", unit="name", source="Stingl 2011, sec. 3.6"
-        )
-        taps: int = setting(
-            64,
-            "comparisons per pixel; a square number for box",
-            unit="taps",
-            source="Stingl 2011, sec. 3.6",
-            ge=1,
-            le=4096,
-        )
-        bilinear: bool = setting(
-            True, "each tap is the bilinear mean of 2 x 2 comparisons", unit="yes/no", source="Stingl 2011, sec. 3.6"
-        )
+        taps: int = tap_count(64, "comparisons per pixel", source="Stingl 2011, sec. 3.6")
 
-        @field_validator("taps")
-        @classmethod
-        def _fit_kernel(cls, taps: int, info: ValidationInfo) -> int:
-            return check_tap_count(taps, info.data.get("kernel", "poisson"))
-
-    def render(self, frame: Frame) -> wp.array:
-        gbuffer = frame.gbuffer()
-        visibility = frame.visibility_buffer(gbuffer)
-        if frame.nothing_casts(visibility):
-            return visibility
-        params = self.params
-        light_map = frame.light_map(params.resolution, cull=params.cull)
-        if nothing_hides(frame, gbuffer, light_map, visibility):
-            return visibility
-        taps = pull_taps(frame, params.kernel, params.taps)
-        densities = pull_layer_densities(frame, light_map)
-        shape = [0.5 * params.diameter, int(params.scale == "receiver"), int(params.bilinear)]
+    def shade(self, frame: Frame, gbuffer: GBuffer, light_map: HostMap, visibility_out: wp.array) -> None:
+        p = self.params
+        taps = pull_taps(frame, p.kernel, p.taps)
+        densities = pull_layer_densities(frame, light_map, frame.middle_of_receivers)
         with frame.timed("filter comparisons"):
-            inputs = [light_map, params.device_bias, taps]
-            if uses_lanes(frame.device):
-                runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
-                inputs = [lane_views(gbuffer, light_map), *inputs, _flat(densities), *shape]
-                frame.launch(filter_in_world_lanes, runs, inputs, [visibility])
-            else:
-                inputs = [gbuffer, *inputs, densities, *shape]
-                frame.launch(filter_in_world, visibility.shape, inputs, [visibility])
-        return visibility
-
-
-def _flat(pairs: wp.array) -> wp.array:
-    """A vec2 array as its floats, on the CPU; a view, which must not outlive it."""
-    return wp.array(ptr=pairs.ptr, dtype=float, shape=2 * pairs.shape[0], device="cpu")
+            kernel = [taps, 0.5 * p.diameter, int(p.scale == "receiver"), int(p.bilinear)]
+            inputs = [gbuffer, light_map.map, p.device_bias, densities, *kernel]
+            frame.launch(FILTER, visibility_out.shape, inputs, [visibility_out])

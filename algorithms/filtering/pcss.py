@@ -24,30 +24,28 @@ discs, spheres and the sun; for rectangles and lines ``box`` is exact.
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import warp as wp
-from pydantic import ValidationInfo, field_validator
 
-from algorithms.technique import Limit, MapParams, Needs, Technique, setting
-from wkernels.device.lanes import LANES, runs_per_row, uses_lanes
-from wkernels.filters.penumbra import (
-    LightFootprint,
-    check_tap_count,
-    pcss_visibility,
-    pull_footprint,
-    pull_taps,
-    tap_rotation,
-)
+from algorithms.filtering._taps import TapParams, tap_count
+from algorithms.technique import Frame, Limit, MapTechnique, Needs, setting
+from wkernels.device.lanes import LANES, store_run
+from wkernels.device.twin import Twin
+from wkernels.filters.penumbra import LightFootprint, pcss_visibility, pull_footprint, pull_taps, tap_rotation
 from wkernels.filters.penumbra_lanes import flat_half_axes, pcss_visibility_run, tap_rotation_run
-from wkernels.frame.empty_maps import nothing_hides
-from wkernels.frame.session import Session as Frame
+from wkernels.light_maps.host_map import HostMap
 from wkernels.light_maps.light_map import Bias, LightMap
 from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.light_maps.receivers import receiver_of_pixel
 from wkernels.raster.gbuffer import GBuffer
+from wkernels.workspace.left_out import Omission
 
-TAPS_ALIKE = "taps of search and filter", "the light has no area"
+
+class Skip(Omission):
+    """What a light without an area saves."""
+
+    TAPS = "taps of search and filter", "the light has no area"
 
 
 @wp.kernel
@@ -104,11 +102,17 @@ def filter_penumbra_lanes(
         visible = pcss_visibility_run(
             views, light_map, footprint, half_axes, receivers, blocker_taps, filter_taps, cosine, sine, bilinear
         )
-    for k in range(wp.min(LANES, visibility_out.shape[1] - x0)):
-        visibility_out[y, x0 + k] = visible[k]
+    store_run(visible, x0, y, visibility_out)
 
 
-class Pcss(Technique):
+def _in_lanes(gbuffer: GBuffer, light_map: LightMap, footprint: LightFootprint, *others: object) -> list:
+    return [lane_views(gbuffer, light_map), light_map, footprint, flat_half_axes(footprint), *others]
+
+
+FILTER = Twin(filter_penumbra, filter_penumbra_lanes, inputs=_in_lanes, tolerance=1e-5, flips=1e-3)
+
+
+class Pcss(MapTechnique):
     """One map, a search and a filter per pixel."""
 
     name = "pcss"
@@ -119,71 +123,29 @@ class Pcss(Technique):
         "light_grows": "one map sees one side of a caster, and a light much wider than its distance shines past both"
     }
     bias_sign = "none"
-    may_leave_out = (TAPS_ALIKE,)
+    may_leave_out = (Skip.TAPS,)
     limits = (Limit(equals="shadow_map", light_scale=0.0),)
 
-    class Params(MapParams):
+    class Params(TapParams):
         """The two tap sets."""
 
-        kernel: Literal["poisson", "box"] = setting(
-            "poisson",
-            "shape of both tap sets: poisson disc, or box of k x k",
-            unit="name",
-            source="Schwaerzler 2009, app. A",
-        )
-        blocker_taps: int = setting(
-            16,
-            "taps of the blocker search; a square number for box",
-            unit="taps",
-            source="Scherzer 2009, sec. 4",
-            ge=1,
-            le=4096,
-        )
-        filter_taps: int = setting(
-            16,
-            "taps of the filter; a square number for box",
-            unit="taps",
-            source="Scherzer 2009, sec. 4",
-            ge=1,
-            le=4096,
+        blocker_taps: int = tap_count(16, "taps of the blocker search", source="Scherzer 2009, sec. 4")
+        filter_taps: int = tap_count(16, "taps of the filter", source="Scherzer 2009, sec. 4")
+        bilinear: bool = setting(
+            False, "each filter tap is the bilinear mean of 2 x 2", unit="yes/no", source="Scherzer 2009, sec. 4"
         )
         rotate: bool = setting(False, "turn the taps by a random angle in each pixel", unit="yes/no")
-        bilinear: bool = setting(
-            False,
-            "each filter tap is the bilinear mean of 2 x 2 comparisons",
-            unit="yes/no",
-            source="Scherzer 2009, sec. 4",
-        )
 
-        @field_validator("blocker_taps", "filter_taps")
-        @classmethod
-        def _fit_kernel(cls, taps: int, info: ValidationInfo) -> int:
-            return check_tap_count(taps, info.data.get("kernel", "poisson"))
-
-    def render(self, frame: Frame) -> wp.array:
-        gbuffer = frame.gbuffer()
-        visibility = frame.visibility_buffer(gbuffer)
-        if frame.nothing_casts(visibility):
-            return visibility
-        params = self.params
-        light_map = frame.light_map(params.resolution, cull=params.cull)
-        if nothing_hides(frame, gbuffer, light_map, visibility):
-            return visibility
+    def shade(self, frame: Frame, gbuffer: GBuffer, light_map: HostMap, visibility_out: wp.array) -> None:
+        p = self.params
         footprint = pull_footprint(frame, light_map)
-        counts = [params.blocker_taps, params.filter_taps]
+        counts = [p.blocker_taps, p.filter_taps]
         # without an area all taps fall on one spot; means of bilinear comparisons are not the same when rounded
-        more = 0 if frame.light.has_area or params.bilinear else sum(counts) - 2
-        if more and frame.leave_out(*TAPS_ALIKE, more):
+        more = 0 if frame.light.has_area or p.bilinear else sum(counts) - 2
+        if more and frame.leave_out(Skip.TAPS, count=more):
             counts = [1, 1]
-        taps = [pull_taps(frame, params.kernel, count) for count in counts]
+        taps = [pull_taps(frame, p.kernel, count) for count in counts]
         with frame.timed("penumbra filter"):
-            options = [int(params.rotate), int(params.bilinear), frame.seed]
-            inputs = [params.device_bias, *taps, *options]
-            if uses_lanes(frame.device):
-                maps = [lane_views(gbuffer, light_map), light_map, footprint, flat_half_axes(footprint)]
-                runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
-                frame.launch(filter_penumbra_lanes, runs, [*maps, *inputs], [visibility])
-            else:
-                maps = [gbuffer, light_map, footprint]
-                frame.launch(filter_penumbra, visibility.shape, [*maps, *inputs], [visibility])
-        return visibility
+            options = [int(p.rotate), int(p.bilinear), frame.seed]
+            inputs = [gbuffer, light_map.map, footprint, p.device_bias, *taps, *options]
+            frame.launch(FILTER, visibility_out.shape, inputs, [visibility_out])

@@ -28,7 +28,7 @@ import warp as wp
 from pydantic import field_validator
 
 from algorithms.technique import MapParams, Technique, setting
-from wkernels.device.lanes import LANES, Floats, Pairs, flat_floats, runs_of, runs_per_row, uses_lanes
+from wkernels.device.lanes import LANES, Floats, Pairs, flat_floats, runs_of, runs_per_row, store_run, uses_lanes
 from wkernels.filters.blur import gaussian_weights, separable_blur
 from wkernels.filters.moments import (
     Chebyshev,
@@ -56,9 +56,14 @@ from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.light_maps.receivers import receiver_of_pixel
 from wkernels.light_maps.storage import MapLayout, allocate, layer_images
 from wkernels.raster.gbuffer import GBuffer
+from wkernels.workspace.left_out import Omission
 
-TAPS_ALIKE = "taps of the search", "the light has no area"
-NO_BLUR = "blur of moments", "its kernel has one tap"
+
+class Skip(Omission):
+    """What lights and filters save."""
+
+    TAPS_ALIKE = "taps of the search", "the light has no area"
+    NO_BLUR = "blur of moments", "its kernel has one tap"
 
 
 @wp.kernel
@@ -100,8 +105,7 @@ def look_up_blurred_lanes(
     visible = receivers.visible
     if receivers.count > 0:
         visible = lit_share_run(chebyshev, moments, receivers, light_map)
-    for k in range(wp.min(LANES, visibility_out.shape[1] - x0)):
-        visibility_out[y, x0 + k] = visible[k]
+    store_run(visible, x0, y, visibility_out)
 
 
 @wp.kernel
@@ -167,7 +171,7 @@ class Vsm(Technique):
         "light_place": "no texel falls on a receiver in whose plane the light lies"
     }
     bias_sign = "lighter"
-    may_leave_out = (TAPS_ALIKE, NO_BLUR)
+    may_leave_out = (Skip.TAPS_ALIKE, Skip.NO_BLUR)
 
     class Params(MapParams):
         """Filter and bound."""
@@ -224,13 +228,13 @@ class Vsm(Technique):
         light_map = frame.light_map(params.resolution, cull=params.cull)
         if nothing_hides(frame, gbuffer, light_map, visibility):
             return visibility
-        moments = self._moments(frame, light_map)
-        common = [light_map, params.device_bias, moments.chebyshev]
+        moments = self._moments(frame, light_map.map)
+        common = [light_map.map, params.device_bias, moments.chebyshev]
         if params.width == "fixed":
             image = self._blurred(frame, moments)
             with frame.timed("moment lookup"):
                 if uses_lanes(frame.device):
-                    inputs = [lane_views(gbuffer, light_map), *common, flat_floats(image)]
+                    inputs = [lane_views(gbuffer, light_map.map), *common, flat_floats(image)]
                     runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
                     frame.launch(look_up_blurred_lanes, runs, inputs, [visibility])
                 else:
@@ -239,7 +243,7 @@ class Vsm(Technique):
         tables = self._tables(frame, moments)
         footprint = pull_footprint(frame, light_map)
         count, hard = params.blocker_taps, not frame.light.has_area
-        if count > 1 and hard and frame.leave_out(*TAPS_ALIKE, count - 1):
+        if count > 1 and hard and frame.leave_out(Skip.TAPS_ALIKE, count=count - 1):
             count = 1
         taps = pull_taps(frame, "poisson", count)
         with frame.timed("penumbra lookup"):
@@ -269,7 +273,7 @@ class Vsm(Technique):
         return moments
 
     def _blurred(self, frame: Frame, moments: Moments) -> wp.array:
-        if self.params.taps == 1 and frame.leave_out(*NO_BLUR):
+        if self.params.taps == 1 and frame.leave_out(Skip.NO_BLUR):
             return moments.image
 
         def build(old: wp.array | None) -> wp.array:

@@ -17,10 +17,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from algorithms.technique import Limit, Technique, setting
+from algorithms.technique import Frame, Limit, Technique, setting
 from algorithms.technique import Params as BaseParams
-from wkernels.frame.session import Session as Frame
-from wkernels.irregular import find_hidden
+from wkernels.irregular.hidden import find_hidden
 
 
 class AliasFree(Technique):
@@ -49,5 +48,5 @@ class AliasFree(Technique):
         visibility = frame.visibility_buffer(gbuffer)
         if frame.nothing_casts(visibility):
             return visibility
-        find_hidden(frame, gbuffer, self.params.resolution, visibility)
+        find_hidden(frame, frame.geometry, frame.light.centre, gbuffer, self.params.resolution, visibility)
         return visibility

@@ -22,9 +22,8 @@ from typing import ClassVar, Literal
 import warp as wp
 from pydantic import ValidationInfo, field_validator
 
-from algorithms.technique import Params, Technique, setting
+from algorithms.technique import Frame, Params, Technique, setting
 from wkernels.casters.blobs import Blob, bounding_ellipsoid, distance_to_blob, placed_ellipsoid
-from wkernels.frame.session import Session as Frame
 from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
 from wkernels.scene.geometry import RECEIVES
 

@@ -21,10 +21,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from algorithms.technique import Limit, MapParams, Technique, setting
-from wkernels.device.lanes import LANES, Floats, runs_of, runs_per_row, uses_lanes
+from algorithms.technique import Frame, Limit, MapParams, Technique, setting
+from wkernels.device.lanes import LANES, Floats, runs_of
+from wkernels.device.twin import Twin
 from wkernels.filters.neighbourhood_filter import filter_image
-from wkernels.frame.session import Session as Frame
 from wkernels.light_maps.comparison_lanes import compare_nearest_run
 from wkernels.light_maps.light_map import Bias, LightMap, compare_nearest
 from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
@@ -69,6 +69,13 @@ def hide_pixels_lanes(
     depths = points_of_run(views, eye_depth, x0, y).depth
     for k in range(wp.min(LANES, psi_depth_out.shape[1] - x0)):
         psi_depth_out[y, x0 + k] = wp.vec2(1.0 - visible[k], depths[k])
+
+
+def _in_lanes(gbuffer: GBuffer, light_map: LightMap, bias: Bias) -> list:
+    return [lane_views(gbuffer, light_map), runs_of(gbuffer.depth, Floats, PADDING), light_map, bias]
+
+
+HIDE_PIXELS = Twin(hide_pixels, hide_pixels_lanes, inputs=_in_lanes, flips=1e-3)
 
 
 @wp.kernel
@@ -129,13 +136,7 @@ class ProjectionAliasingMitigation(Technique):
         psi_depth = frame.buffer("psi and depth", visibility.shape, wp.vec2)
         width = frame.buffer("filter width", visibility.shape, wp.float32)
         with frame.timed("compare depth"):
-            inputs = [light_map, p.device_bias]
-            if uses_lanes(frame.device):
-                runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
-                images = [lane_views(gbuffer, light_map), runs_of(gbuffer.depth, Floats, PADDING)]
-                frame.launch(hide_pixels_lanes, runs, [*images, *inputs], [psi_depth])
-            else:
-                frame.launch(hide_pixels, visibility.shape, [gbuffer, *inputs], [psi_depth])
+            frame.launch(HIDE_PIXELS, visibility.shape, [gbuffer, light_map.map, p.device_bias], [psi_depth])
         with frame.timed("smooth"):
             inputs = [gbuffer, wp.vec4(*frame.light.centre), p.cosine, p.half_width]
             frame.launch(choose_width, width.shape, inputs, [width])

@@ -24,16 +24,20 @@ from typing import ClassVar
 import numpy as np
 import warp as wp
 
-from algorithms.technique import Limit, Needs, Params, Technique, setting
+from algorithms.technique import Frame, Limit, Needs, Params, Technique, setting
 from wkernels.casters.flattening import Flattener, ReceiverPlane, receiver_planes, turned_to_light
-from wkernels.frame.session import Session as Frame
 from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
 from wkernels.sampling.estimators import standard_error
 from wkernels.scene.geometry import RECEIVES
+from wkernels.workspace.left_out import Omission
 
-FLAT_NONE = "flattened casters", "no receiver is flat"
-ALIKE = "flattened casters of light samples", "the light has no area"
-UNSEEN = "flattened casters", "no pixel shows the plane"
+
+class Skip(Omission):
+    """What planes and lights save."""
+
+    FLAT_NONE = "flattened casters", "no receiver is flat"
+    ALIKE = "flattened casters of light samples", "the light has no area"
+    UNSEEN = "flattened casters", "no pixel shows the plane"
 
 
 @wp.kernel
@@ -95,7 +99,7 @@ class ProjectionShadows(Technique):
         "grazing": "the flattened casters reach to where float32 has no digits left as the light nears the plane",
     }
     bias_sign = "none"
-    may_leave_out = (ALIKE, FLAT_NONE, UNSEEN)
+    may_leave_out = (Skip.ALIKE, Skip.FLAT_NONE, Skip.UNSEEN)
     limits = (
         Limit(equals="ray_cast_point_shadow", tolerance=1e-6, flips=0.01),
         Limit(equals="reference_multisample", params={"light_samples": 16}, other_params={"samples": 16}, flips=0.03),
@@ -128,7 +132,7 @@ class ProjectionShadows(Technique):
         else:
             lights, weights = frame.light.centre[None], np.ones(1, np.float32)
         total = np.add.accumulate(weights)[-1]  # in the kernels' order and precision: "all hidden" is exactly 0
-        if count > 1 and not frame.light.has_area and frame.leave_out(*ALIKE, count - 1):
+        if count > 1 and not frame.light.has_area and frame.leave_out(Skip.ALIKE, count=count - 1):
             lights, weights = lights[:1], np.array([total])
         planes = self._planes(frame, gbuffer)
         hidden = frame.buffer("hidden weight", visibility.shape, wp.float32)
@@ -151,14 +155,14 @@ class ProjectionShadows(Technique):
 
         planes = frame.product("receiver planes", "receiver planes", frame.geometry.version, build)[0]
         if not planes:
-            frame.tell(*FLAT_NONE)
+            frame.tell(Skip.FLAT_NONE)
         numbered = list(enumerate(planes))
-        if len(numbered) > 1 and frame.may_leave_out(*UNSEEN):
+        if len(numbered) > 1 and frame.may_leave_out(Skip.UNSEEN):
             mesh = gbuffer.mesh.numpy()
             shown = set(np.flatnonzero(np.bincount(mesh[mesh >= 0], minlength=1)))
             seen = [(number, plane) for number, plane in numbered if shown.intersection(plane.meshes)]
             if len(seen) < len(numbered):
-                frame.leave_out(*UNSEEN, len(numbered) - len(seen))
+                frame.leave_out(Skip.UNSEEN, count=len(numbered) - len(seen))
             numbered = seen
         return numbered
 

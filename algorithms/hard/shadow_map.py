@@ -15,13 +15,13 @@ from __future__ import annotations
 
 import warp as wp
 
-from algorithms.technique import Limit, MapParams, Technique
-from wkernels.device.lanes import LANES, runs_per_row, uses_lanes
-from wkernels.frame.empty_maps import nothing_hides
-from wkernels.frame.session import Session as Frame
+from algorithms.technique import Frame, Limit, MapTechnique
+from wkernels.device.lanes import LANES, store_run
+from wkernels.device.twin import Twin
 from wkernels.light_maps.comparison_lanes import compare_nearest_run
+from wkernels.light_maps.host_map import HostMap
 from wkernels.light_maps.light_map import Bias, LightMap, compare_nearest
-from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
+from wkernels.light_maps.receiver_lanes import LaneViews, in_lane_views, locate_run
 from wkernels.light_maps.receivers import receiver_of_pixel
 from wkernels.raster.gbuffer import GBuffer
 
@@ -50,11 +50,13 @@ def compare_depth_lanes(
     x0 = column * LANES
     receivers = locate_run(views, light_map, bias, x0, y)
     visible = compare_nearest_run(views, light_map, receivers)
-    for k in range(wp.min(LANES, visibility_out.shape[1] - x0)):
-        visibility_out[y, x0 + k] = visible[k]
+    store_run(visible, x0, y, visibility_out)
 
 
-class ShadowMap(Technique):
+COMPARE = Twin(compare_depth, compare_depth_lanes, inputs=in_lane_views, flips=1e-3)
+
+
+class ShadowMap(MapTechnique):
     """One map, one comparison a pixel."""
 
     name = "shadow_map"
@@ -66,22 +68,7 @@ class ShadowMap(Technique):
         Limit(equals="multi_shadow_map", other_params={"samples": 1}, light_scale=0.0),
     )
 
-    class Params(MapParams):
-        """Those of every map technique."""
-
-    def render(self, frame: Frame) -> wp.array:
-        gbuffer = frame.gbuffer()
-        visibility = frame.visibility_buffer(gbuffer)
-        if frame.nothing_casts(visibility):
-            return visibility
-        light_map = frame.light_map(self.params.resolution, cull=self.params.cull)
-        if nothing_hides(frame, gbuffer, light_map, visibility):
-            return visibility
+    def shade(self, frame: Frame, gbuffer: GBuffer, light_map: HostMap, visibility_out: wp.array) -> None:
         with frame.timed("compare depth"):
-            inputs = [light_map, self.params.device_bias]
-            if uses_lanes(frame.device):
-                runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
-                frame.launch(compare_depth_lanes, runs, [lane_views(gbuffer, light_map), *inputs], [visibility])
-            else:
-                frame.launch(compare_depth, visibility.shape, [gbuffer, *inputs], [visibility])
-        return visibility
+            inputs = [gbuffer, light_map.map, self.params.device_bias]
+            frame.launch(COMPARE, visibility_out.shape, inputs, [visibility_out])

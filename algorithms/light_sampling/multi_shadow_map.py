@@ -19,41 +19,44 @@ from typing import ClassVar, Literal
 import numpy as np
 import warp as wp
 
-from algorithms.technique import MapParams, Technique, setting
-from wkernels.device.lanes import LANES, runs_per_row, uses_lanes
-from wkernels.frame.session import Session as Frame
+from algorithms.technique import Frame, MapParams, Technique, setting
+from wkernels.device.lanes import LANES
+from wkernels.device.twin import Twin
 from wkernels.light_maps.comparison_lanes import compare_nearest_run
-from wkernels.light_maps.light_map import Bias, LightMap, compare_nearest, locate_receiver
-from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
-from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
+from wkernels.light_maps.light_map import Bias, LightMap, compare_nearest
+from wkernels.light_maps.receiver_lanes import LaneViews, in_lane_views, locate_run
+from wkernels.light_maps.receivers import receiver_of_pixel
+from wkernels.raster.gbuffer import GBuffer
 from wkernels.sampling.estimators import standard_error
 from wkernels.scene.geometry import RECEIVES
+from wkernels.workspace.left_out import Omission
 
-MAPS_ALIKE = "light depth maps", "the light has no area"
+
+class Skip(Omission):
+    """What a light without an area saves."""
+
+    MAPS = "light depth maps", "the light has no area"
 
 
 @wp.kernel
 def add_comparison(
     first: int, gbuffer: GBuffer, light_map: LightMap, bias: Bias, weight: float, seen_out: wp.array2d(dtype=float)
 ):
-    """Adds ``weight`` to the pixels that one light sample sees."""
+    """Adds ``weight`` to the pixels that one light sample sees; those that receive nothing count as lit."""
     row, x = wp.tid()
     y = first + row
-    if (gbuffer.flags[y, x] & RECEIVES) != 0:
-        position_ws = gbuffer.position_ws[y, x]
-        if not is_back_lit(gbuffer, y, x, to_light(light_map.light_ws, position_ws)):
-            visible = float(1.0)
-            receiver = locate_receiver(light_map, bias, position_ws, gbuffer.normal_ws[y, x])
-            if receiver.layer >= 0:
-                visible = compare_nearest(light_map, receiver)
-            seen_out[y, x] = seen_out[y, x] + weight * visible
+    receiver = receiver_of_pixel(gbuffer, light_map, bias, y, x)
+    visible = receiver.visible
+    if receiver.layer >= 0:
+        visible = compare_nearest(light_map, receiver)
+    seen_out[y, x] = seen_out[y, x] + weight * visible
 
 
 @wp.kernel
 def add_comparison_lanes(
     first: int, views: LaneViews, light_map: LightMap, bias: Bias, weight: float, seen_out: wp.array2d(dtype=float)
 ):
-    """``add_comparison`` of a run of pixels; those that receive nothing may count as lit."""
+    """``add_comparison`` of a run of pixels."""
     row, column = wp.tid()
     y = first + row
     x0 = column * LANES
@@ -63,6 +66,9 @@ def add_comparison_lanes(
         visible = compare_nearest_run(views, light_map, receivers)
     for k in range(wp.min(LANES, seen_out.shape[1] - x0)):
         seen_out[y, x0 + k] = seen_out[y, x0 + k] + weight * visible[k]
+
+
+ADD_COMPARISON = Twin(add_comparison, add_comparison_lanes, inputs=in_lane_views, flips=1e-3)
 
 
 @wp.kernel
@@ -95,7 +101,7 @@ class MultiShadowMap(Technique):
         "light_place": "no texel falls on a receiver in whose plane the light lies"
     }
     bias_sign = "none"
-    may_leave_out = (MAPS_ALIKE,)
+    may_leave_out = (Skip.MAPS,)
 
     class Params(MapParams):
         """Those of every map technique, and the light's points."""
@@ -117,19 +123,15 @@ class MultiShadowMap(Technique):
         weights = samples.weights_host.astype(np.float32)
         total = np.add.accumulate(weights)[-1]  # in the kernels' order and precision, so that "all seen" is exactly 1
         maps = p.samples
-        if maps > 1 and not frame.light.has_area and frame.leave_out(*MAPS_ALIKE, maps - 1):
+        if maps > 1 and not frame.light.has_area and frame.leave_out(Skip.MAPS, count=maps - 1):
             maps, weights = 1, np.array([total])
         seen = frame.buffer("seen weight", visibility.shape, wp.float32)
         seen.zero_()
         for i in range(maps):
             light_map = frame.light_map(p.resolution, samples.host[i], slot=("sample", i), cull=p.cull)
             with frame.timed("compare depths"):
-                inputs = [light_map, p.device_bias, float(weights[i])]
-                if uses_lanes(frame.device):
-                    runs = (seen.shape[0], runs_per_row(seen.shape[1]))
-                    frame.launch(add_comparison_lanes, runs, [lane_views(gbuffer, light_map), *inputs], [seen])
-                else:
-                    frame.launch(add_comparison, seen.shape, [gbuffer, *inputs], [seen])
+                inputs = [gbuffer, light_map.map, p.device_bias, float(weights[i])]
+                frame.launch(ADD_COMPARISON, seen.shape, inputs, [seen])
         with frame.timed("average"):
             inputs = [gbuffer, seen, float(total), float(p.samples)]
             frame.launch(average, visibility.shape, inputs, [visibility, error])

@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from algorithms.technique import Technique
-from wkernels.frame.session import Session as Frame
+from algorithms.technique import Frame, Technique
 from wkernels.rays.single_rays import trace_point
 
 

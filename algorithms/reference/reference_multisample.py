@@ -20,15 +20,19 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from algorithms.technique import Limit, Technique, setting
+from algorithms.technique import Frame, Limit, Technique, setting
 from algorithms.technique import Params as BaseParams
 from wkernels.device.lanes import uses_lanes
-from wkernels.frame.session import Session as Frame
 from wkernels.rays.shaft_rays import trace_shafts
 from wkernels.rays.single_rays import PROVEN_DARK, PROVEN_LIT, binomial_standard_error, trace_light
+from wkernels.workspace.left_out import Omission
 
-PROVEN = "rays to the light", "a proof settles the pixel"
-RAYS_ALIKE = "rays to the light from each pixel", "the light has no area"
+
+class Skip(Omission):
+    """What needs no ray, or no more than one."""
+
+    PROVEN = "rays to the light", "a proof settles the pixel"
+    RAYS_ALIKE = "rays to the light from each pixel", "the light has no area"
 
 
 class ReferenceMultisample(Technique):
@@ -38,7 +42,7 @@ class ReferenceMultisample(Technique):
     family = "reference"
     paper = ("heckbert1997", "schwaerzler2009", "scherzer2009tc")
     bias_sign = "none"
-    may_leave_out = (PROVEN, RAYS_ALIKE)
+    may_leave_out = (Skip.PROVEN, Skip.RAYS_ALIKE)
     limits = (Limit(equals="ray_cast_point_shadow", params={"samples": 4}, light_scale=0.0),)
 
     class Params(BaseParams):
@@ -58,11 +62,11 @@ class ReferenceMultisample(Technique):
             return lit
         gbuffer = frame.gbuffer()
         visibility = frame.visibility_buffer(gbuffer)
-        alike = count > 1 and not frame.light.has_area and frame.leave_out(*RAYS_ALIKE, count - 1)
+        alike = count > 1 and not frame.light.has_area and frame.leave_out(Skip.RAYS_ALIKE, count=count - 1)
         samples = frame.light_samples(1 if alike else count, self.params.sample_set, self.params.start)
         proof = frame.buffer("proof", visibility.shape, wp.int32)
         error = frame.standard_error = frame.buffer("standard error", visibility.shape, wp.float32)
-        proves = frame.may_leave_out(*PROVEN)
+        proves = frame.may_leave_out(Skip.PROVEN)
         hull = frame.light_hull()
         if uses_lanes(frame.device):
             kernel, inputs = trace_shafts, [gbuffer, frame.caster_tree(), samples.batches, hull, int(proves)]
@@ -74,5 +78,5 @@ class ReferenceMultisample(Technique):
         with frame.timed("shadow rays"):
             frame.launch(kernel, visibility.shape, inputs, [visibility, proof])
             frame.launch(binomial_standard_error, visibility.shape, [visibility, float(count)], [error])
-        frame.count_later(*PROVEN, lambda: int(np.isin(proof.numpy(), (PROVEN_LIT, PROVEN_DARK)).sum()))
+        frame.count_later(Skip.PROVEN, lambda: int(np.isin(proof.numpy(), (PROVEN_LIT, PROVEN_DARK)).sum()))
         return visibility

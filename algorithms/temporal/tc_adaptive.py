@@ -63,9 +63,16 @@ from wkernels.temporal.map_pool.lanes import pool_views
 from wkernels.temporal.map_pool.mover_maps import MoverMaps, mover_reach
 from wkernels.temporal.map_pool.update import PoolSteps, add_movers, update_sums
 from wkernels.temporal.map_pool.update_lanes import add_movers_lanes, update_sums_lanes
+from wkernels.workspace.left_out import Omission
 
-STANDS_STILL = "light depth maps and tests", "the view has stood still for all samples"
-NO_MOVERS = "maps of moving casters", "no caster moves"
+
+class Skip(Omission):
+    """What rest saves."""
+
+    STANDS_STILL = "light depth maps and tests", "the view has stood still for all samples"
+    NO_MOVERS = "maps of moving casters", "no caster moves"
+
+
 NO_LIMIT = 2.0**22  # a quarter of where whole numbers in float32 stop being exact
 
 
@@ -80,7 +87,7 @@ class TcAdaptive(Technique):
         "light_place": "no texel falls on a receiver in whose plane the light lies"
     }
     bias_sign = "none"
-    may_leave_out = (STANDS_STILL, NO_MOVERS)
+    may_leave_out = (Skip.STANDS_STILL, Skip.NO_MOVERS)
     limits = (
         Limit(
             equals="multi_shadow_map",
@@ -160,7 +167,7 @@ class TcAdaptive(Technique):
         wanted = frame, seen, p.draws, p.tests, isinstance(frame.projection, Composition)
         plan = kept.schedule(*wanted)
         if plan.refines and kept.still_frames(frame) >= p.still_samples:
-            if frame.leave_out(*STANDS_STILL):
+            if frame.leave_out(Skip.STANDS_STILL):
                 wp.copy(history.current, history.previous)
                 return visibility
             plan = replace(plan, draws=(), added=0)
@@ -180,7 +187,7 @@ class TcAdaptive(Technique):
                 frame.launch(update_sums, shape, [gbuffer, *inputs, history.previous], outputs)
 
         # 3: movers
-        if frame.geometry.casters_move or not frame.leave_out(*NO_MOVERS):
+        if frame.geometry.casters_move or not frame.leave_out(Skip.NO_MOVERS):
             self._add_movers(frame, gbuffer, kept, plan.filled, visibility, error)
         return visibility
 

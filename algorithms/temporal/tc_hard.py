@@ -48,8 +48,13 @@ from wkernels.temporal.confidence.blending import Blending
 from wkernels.temporal.confidence.history import ConfidentSettings, add_confident_test
 from wkernels.temporal.confidence.history_lanes import add_confident_test_lanes
 from wkernels.temporal.shadow_buffer.record import BILINEAR, NEAREST
+from wkernels.workspace.left_out import Omission
 
-UNTAGGED = "tags of moving casters", "no caster moves"
+
+class Skip(Omission):
+    """What a scene without movers saves."""
+
+    UNTAGGED = "tags of moving casters", "no caster moves"
 
 
 class TcHard(Technique):
@@ -61,7 +66,7 @@ class TcHard(Technique):
     needs = Needs(history=True)
     hard = True
     bias_sign = "none"
-    may_leave_out = (UNTAGGED,)
+    may_leave_out = (Skip.UNTAGGED,)
     limits = (
         Limit(equals="shadow_map", params={"jitter": 0.0, "overscan": 0.0}, frames=8),
         # the first frame: nothing is known, no jitter yet
@@ -166,16 +171,16 @@ class TcHard(Technique):
         )
         tags = p.movers == "reset"
         if tags and not frame.geometry.casters_move:
-            tags = not frame.leave_out(*UNTAGGED)
+            tags = not frame.leave_out(Skip.UNTAGGED)
         seed = 0 if frame.seed == 1 else frame.seed + 1
         jitter = frame_jitter(p.sample_set, frame.count, p.jitter, np.radians(p.rotation), seed)
         light_map = frame.light_map(p.resolution, cull=p.cull, tag_moving_casters=tags, jitter=jitter)
         with frame.timed("hard shadows over time"):
-            inputs = [gbuffer, light_map, self._settings(history.valid)]
+            inputs = [gbuffer, light_map.map, self._settings(history.valid)]
             inputs += [history.previous_view or gbuffer.view, history.previous]
             outputs = [history.current, visibility]
             if uses_lanes(frame.device):
-                flat = [lane_views(gbuffer, light_map), runs_of(gbuffer.depth, Floats, PADDING)]
+                flat = [lane_views(gbuffer, light_map.map), runs_of(gbuffer.depth, Floats, PADDING)]
                 flat.append(flat_floats(history.previous))
                 runs = (shape[0], runs_per_row(shape[1]))
                 frame.launch(add_confident_test_lanes, runs, [*flat, *inputs], outputs)

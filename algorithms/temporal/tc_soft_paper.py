@@ -65,12 +65,10 @@ from algorithms.temporal._shadow_buffer_params import ShadowBufferParams
 from wkernels.filters.neighbourhood_filter import filter_image
 from wkernels.filters.penumbra import check_tap_count, pull_taps
 from wkernels.frame.session import Session as Frame
-from wkernels.temporal.shadow_buffer.many_lights import BLACK_LIGHT
-from wkernels.temporal.shadow_buffer.mover_shadow import NO_MOVERS
+from wkernels.temporal.shadow_buffer.many_lights import Lights
+from wkernels.temporal.shadow_buffer.mover_shadow import MoverMap
 from wkernels.temporal.shadow_buffer.step import (
-    SETTLED,
-    UNSMOOTHED,
-    UNTAGGED,
+    StepSkip,
     add_sample,
     begin_step,
     count_unsmoothed,
@@ -78,8 +76,13 @@ from wkernels.temporal.shadow_buffer.step import (
     is_settled,
 )
 from wkernels.temporal.shadow_buffer.update import START_PCSS, START_SAMPLE
+from wkernels.workspace.left_out import Omission
 
-TAPS_ALIKE = "taps of starts", "the light has no area"
+
+class Skip(Omission):
+    """What a light without an area saves."""
+
+    TAPS_ALIKE = "taps of starts", "the light has no area"
 
 
 class TcSoftPaper(Technique):
@@ -93,7 +96,14 @@ class TcSoftPaper(Technique):
         "light_place": "no texel falls on a receiver in whose plane the light lies"
     }
     bias_sign = "none"
-    may_leave_out = (BLACK_LIGHT, UNTAGGED, UNSMOOTHED, SETTLED, NO_MOVERS, TAPS_ALIKE)
+    may_leave_out = (
+        Lights.BLACK_LIGHT,
+        StepSkip.UNTAGGED,
+        StepSkip.UNSMOOTHED,
+        StepSkip.SETTLED,
+        MoverMap.NO_MOVERS,
+        Skip.TAPS_ALIKE,
+    )
     limits = (
         Limit(
             equals="multi_shadow_map",
@@ -174,7 +184,7 @@ class TcSoftPaper(Technique):
         settings.start, settings.start_weight = int(START_PCSS if p.start == "pcss" else START_SAMPLE), p.start_weight
         counts = [p.blocker_taps, p.filter_taps]
         more = 0 if frame.light.has_area or p.start == "sample" else sum(counts) - 2
-        if more and frame.leave_out(*TAPS_ALIKE, more):
+        if more and frame.leave_out(Skip.TAPS_ALIKE, count=more):
             counts = [1, 1]
         settings.blocker_taps, settings.filter_taps = (pull_taps(frame, "box", n) for n in counts)
         settings.first_blockers = float(p.blocker_taps) if p.start == "pcss" else 0.0

@@ -57,14 +57,12 @@ from wkernels.filters.neighbourhood_filter import pull_opposite_taps
 from wkernels.filters.penumbra import pull_taps
 from wkernels.frame.session import Session as Frame
 from wkernels.temporal.neighbourhood_blend import BLEND, BlendSettings, blend_neighbourhood_lanes
-from wkernels.temporal.shadow_buffer.many_lights import BLACK_LIGHT
-from wkernels.temporal.shadow_buffer.mover_shadow import NO_MOVERS
+from wkernels.temporal.shadow_buffer.many_lights import Lights
+from wkernels.temporal.shadow_buffer.mover_shadow import MoverMap
 from wkernels.temporal.shadow_buffer.record import TEXEL_TYPES
 from wkernels.temporal.shadow_buffer.step import (
-    SETTLED,
-    UNSMOOTHED,
-    UNTAGGED,
     ShadowStep,
+    StepSkip,
     add_sample,
     begin_step,
     count_unsmoothed,
@@ -72,8 +70,13 @@ from wkernels.temporal.shadow_buffer.step import (
     is_settled,
 )
 from wkernels.temporal.shadow_buffer.update import START_SAMPLE, START_SEARCH
+from wkernels.workspace.left_out import Omission
 
-POINTLESS = "blocker searches and neighbourhoods", "the light has no area"
+
+class Skip(Omission):
+    """What a light without an area saves."""
+
+    POINTLESS = "blocker searches and neighbourhoods", "the light has no area"
 
 
 class TcSoftThesis(Technique):
@@ -87,7 +90,14 @@ class TcSoftThesis(Technique):
         "light_place": "no texel falls on a receiver in whose plane the light lies"
     }
     bias_sign = "none"
-    may_leave_out = (BLACK_LIGHT, UNTAGGED, UNSMOOTHED, SETTLED, NO_MOVERS, POINTLESS)
+    may_leave_out = (
+        Lights.BLACK_LIGHT,
+        StepSkip.UNTAGGED,
+        StepSkip.UNSMOOTHED,
+        StepSkip.SETTLED,
+        MoverMap.NO_MOVERS,
+        Skip.POINTLESS,
+    )
     limits = (Limit(equals="multi_shadow_map", params={"filter": False}, other_params={"samples": 16}, frames=16),)
 
     class Params(ShadowBufferParams):
@@ -183,7 +193,7 @@ class TcSoftThesis(Technique):
             return visibility
         settings.relative_epsilon += p.depth_epsilon
         still = not frame.geometry.casters_move  # else the search tags pixels that a mover will shadow
-        if p.filter and not (still and not frame.light.has_area and frame.leave_out(*POINTLESS)):
+        if p.filter and not (still and not frame.light.has_area and frame.leave_out(Skip.POINTLESS)):
             count_unsmoothed(frame, step)
             settings.start, settings.stores_smoothed = int(START_SEARCH), int(p.start == "blur")
             settings.blocker_taps = pull_taps(frame, "poisson", p.blocker_taps)

@@ -137,12 +137,13 @@ def compare_frame_with_passes(bench: Bench, name: str) -> Iterator[Row]:
     params = technique.Params(resolution=bench.sizes.map_side)
     walk = Walk(geometry, technique(params), size, bench.threads, skips=False)
     walk.next_frame()
-    assert walk.session.light_views is not None
-    view = walk.session.light_views[0][0]
+    look = walk.session.shown
+    assert look is not None
+    view = look.views[0]
     vertices, faces = geometry.points_ws.numpy(), geometry.caster_indices.numpy().reshape(-1, 3)
 
     def depth() -> np.ndarray:
-        return depths_on_host(walk.session.light_map(params.resolution, cull=params.cull))[0]
+        return depths_on_host(walk.session.light_map(params.resolution, cull=params.cull).map)[0]
 
     note = (
         f"ours: a whole shadow_map frame, {size[0]}x{size[1]}, map drawn anew; peer: 3 depth passes, {len(faces)} "

@@ -121,7 +121,7 @@ class OurPcss:
         images = {
             "position_ws": _with_flag(gbuffer, gbuffer.position_ws, RECEIVES),
             "normal_ws": _with_flag(gbuffer, gbuffer.normal_ws, CASTS),
-            "map_depth": depths_on_host(self._session.light_map(params.resolution, cull=params.cull))[0],
+            "map_depth": depths_on_host(self._session.light_map(params.resolution, cull=params.cull).map)[0],
         }
         taps = {key: tap_set(params.kernel, getattr(params, key)) for key in ("blocker_taps", "filter_taps")}
         return images, taps
@@ -131,8 +131,8 @@ class OurPcss:
         params = self._technique.params
         light_map = self._session.light_map(params.resolution, cull=params.cull)
         footprint = pull_footprint(self._session, light_map)
-        matrix = light_map.ws_to_ls.numpy()[0]
-        per_length = 0.5 * light_map.resolution * np.linalg.norm(matrix[:2, :3], axis=1)
+        matrix = light_map.map.ws_to_ls.numpy()[0]
+        per_length = 0.5 * params.resolution * np.linalg.norm(matrix[:2, :3], axis=1)
         return {
             "ws_to_ls": matrix,
             "to_light": self._session.light.centre[:3],
@@ -141,7 +141,7 @@ class OurPcss:
             "bias_slope": params.bias_slope,
             "rounding": float(ROUNDING),
             "border": float(BORDER),
-            "resolution": light_map.resolution,
+            "resolution": params.resolution,
         }
 
 

@@ -81,7 +81,7 @@ def make_views(
         return []
     kinds = [kind for kind in KINDS if kind in views.kinds]
     skipped: list[Skipped] = []
-    if session.light_views is None:
+    if session.shown is None:
         # unless the label was asked for by name, the pictures that are left would not be about it
         dropped = [kind for kind in kinds if KINDS[kind].needs_map or not views.labels]
         kinds = [kind for kind in kinds if kind not in dropped]

@@ -87,10 +87,10 @@ class Subject:
         self.session, self.reference = session, reference
         self.geometry = engine.geometry
         self.settings: Mapping[str, Any] = run.projection or {}
-        self.eye = (session.light_views and session.near_plane.used) or session.eye()
-        views, sample = session.light_views or ([], session.light.centre)
-        self.views: list[HostView] = list(views)
-        self.light_ws = np.asarray(sample, float)
+        look = session.shown
+        self.eye = (look and session.near_plane.used) or session.eye()
+        self.views: list[HostView] = list(look.views) if look else []
+        self.light_ws = np.asarray(look.light_ws if look else session.light.centre, float)
         self._camera = self._free_camera()
         self._result = result
         self._shots: dict[str, Shot] = {}
@@ -164,7 +164,7 @@ class Subject:
         gbuffer = session.gbuffer()
         layer = np.full(gbuffer.depth.shape, -1)
         if self.views:
-            light_map = session.light_map(self.resolution, self.light_ws)
+            light_map = session.light_map(self.resolution, self.light_ws).map
             layer = chosen_layers(gbuffer, light_map, session.device, session.threads)
         return Shot(
             view=session.eye(),

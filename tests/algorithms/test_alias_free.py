@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import small_scenes as small
 
-import wkernels.irregular as irregular
 from algorithms.hard.alias_free import AliasFree
 from algorithms.reference.ray_cast_point_shadow import RayCastPointShadow
 from algorithms.technique import Technique
 from wkernels.device.lanes import uses_lanes
 from wkernels.frame.session import Session
+from wkernels.irregular import hidden
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.lights import DirectionalLight, Light, PointLight
 from wkernels.scene.model import Camera, Mesh, Scene
@@ -196,7 +196,7 @@ def test_lanes_are_the_plain_kernels(light: str, resolution: int, device: str, m
         pytest.skip("lane kernels run on the CPU only")
     images = []
     for lanes in (False, True):
-        monkeypatch.setattr(irregular, "uses_lanes", lambda device, lanes=lanes: lanes)
+        monkeypatch.setattr(hidden, "uses_lanes", lambda device, lanes=lanes: lanes)
         images.append(visibility(AliasFree, small.cluttered(LIGHTS[light]), device, resolution=resolution))
     # the compiler may fuse other multiplications with additions
     assert share_that_differs(*images) <= 1e-4

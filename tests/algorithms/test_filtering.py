@@ -330,9 +330,9 @@ def test_the_footprint_is_the_light_laid_over_the_map(lamp: str, device: str) ->
         "six faces": SphereLight(center=INSIDE.position, radius=0.01),
     }
     frame = session(small.cluttered(lights[lamp]))
-    light_map = frame.light_map(512)
-    footprint = pull_footprint(frame, light_map)
-    assert pull_footprint(frame, light_map) is footprint
+    pulled = frame.light_map(512)
+    light_map, footprint = pulled.map, pull_footprint(frame, pulled)
+    assert pull_footprint(frame, frame.light_map(512)) is footprint
     depth = depths_on_host(light_map)
     np.testing.assert_array_equal(footprint.nearest_depth.numpy(), depth.reshape(light_map.layers, -1).min(axis=1))
     assert light_map.layers == (6 if lamp == "six faces" else 1)

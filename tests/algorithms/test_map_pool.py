@@ -80,7 +80,7 @@ def test_a_test_in_a_pool_is_that_of_a_light_map(lamp: str, bias: str, warp: str
     session = open_session(small.cluttered(LIGHTS[lamp]), device, projection=projection)
     params = MapParams(resolution=256, bias=bias, bias_constant=2.0)
     gbuffer, samples = session.gbuffer(), session.light_samples(2)
-    light_map = session.light_map(256, samples.host[1])
+    light_map = session.light_map(256, samples.host[1]).map
     kept = KeptMaps(session, 2, 256)
     # the first call may find that a map takes more layers than there is room for
     both = (0, range(6)), (1, range(6))

@@ -15,8 +15,8 @@ from sessions import open_session, render_frames, small_technique, true_visibili
 from wkernels.device.launch import launch
 from wkernels.light_maps.light_map import depths_on_host
 from wkernels.scene.model import Mesh, Scene
+from wkernels.temporal.shadow_buffer import mover_shadow
 from wkernels.temporal.shadow_buffer.mover_shadow import OVERLAPS, join_error, join_hidden, mover_regions
-from wkernels.temporal.shadow_buffer.record import mover_shadow
 
 BOTH = ("tc_soft_paper", "tc_soft_thesis")
 LAMP = small.light("rectangle", (2.0, 8.0, 1.0), 2.0)
@@ -62,9 +62,9 @@ def test_maps_hold_the_casters_that_are_asked_for(projection: dict[str, Any] | N
     names = {"all": tuple(m.name for m in scene.meshes), "still": ("boxes", "sphere"), "moving": ("terrain",)}
     for casters, wanted in names.items():
         session = open_session(scene, device, projection=projection)
-        views = session.light_map(64, casters=casters)
+        views = session.light_map(64, casters=casters).map
         alone = open_session(only(scene, *wanted), device, projection=projection)
-        expected, found = depths_on_host(alone.light_map(64)), depths_on_host(views)
+        expected, found = depths_on_host(alone.light_map(64).map), depths_on_host(views)
         np.testing.assert_array_equal(found, expected)
         assert np.isfinite(found).any() and found.shape[0] == (3 if projection else 1)
     geometry = session.geometry
@@ -75,7 +75,7 @@ def test_maps_hold_the_casters_that_are_asked_for(projection: dict[str, Any] | N
 def test_the_region_of_movers_holds_all_of_their_texels(device: str) -> None:
     for lamp in (LAMP, small.light("directional", (2.0, 8.0, 1.0)), small.light("sphere", (0.2, 1.6, 0.5), 0.3)):
         session = open_session(overlapping(lamp), device)
-        light_map = session.light_map(128, casters="moving")
+        light_map = session.light_map(128, casters="moving").map
         regions = mover_regions(session, light_map)
         for layer, depth in enumerate(depths_on_host(light_map)):
             rows, columns = np.nonzero(np.isfinite(depth))

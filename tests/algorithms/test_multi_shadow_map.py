@@ -13,7 +13,8 @@ from pydantic import ValidationError
 from sessions import render, true_visibility, walk
 
 from algorithms.plugins import find
-from wkernels.frame.session import FrameResult, map_shelf
+from wkernels.frame import map_keeper
+from wkernels.frame.session import FrameResult
 from wkernels.sampling.point_sets import light_set
 from wkernels.scene.lights import DirectionalLight, Light, PointLight, RectangleLight
 
@@ -121,7 +122,7 @@ def test_maps_are_kept_while_casters_stand_still(device: str, monkeypatch: pytes
     assert [kept_maps(result) for result in walks["moving"]] == [0, 0, 0]
     assert not np.array_equal(walks["moving"][1].visibility, walks["still"][1].visibility, equal_nan=True)
 
-    monkeypatch.setattr(map_shelf, "MAP_BUDGET_BYTES", 2 * 64 * 64 * 4)
+    monkeypatch.setattr(map_keeper, "MAP_BUDGET_BYTES", 2 * 64 * 64 * 4)
     again = walk(still, device, "multi_shadow_map", 3, **params)
     assert [kept_maps(result) for result in again] == [0, 2, 2]
     for kept, drawn in zip(walks["still"], again, strict=True):

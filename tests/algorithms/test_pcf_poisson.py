@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 import small_scenes as small
-from filtering_sessions import INSIDE, OPTIONS, render
+from filtering_sessions import render
 
-from wkernels.device.lanes import uses_lanes
-from wkernels.filters import searched_filter
-from wkernels.scene.lights import Light, PointLight
+from wkernels.scene.lights import PointLight
 from wkernels.scene.model import Camera, Scene
 
 FILTERS: tuple[tuple[str, dict[str, Any]], ...] = (
@@ -68,21 +66,3 @@ def test_64_taps_hide_the_staircase_that_4_leave() -> None:
         spread = [result.visibility[steps == k].std() for k in range(-20, 20)]
         rough[taps] = float(np.mean(spread))
     assert rough[64] < 0.75 * rough[4] and rough[64] < 0.05, rough
-
-
-@pytest.mark.parametrize(("name", "params"), FILTERS)
-@pytest.mark.parametrize("lamp", [small.light("rectangle"), small.light("directional"), INSIDE])
-@pytest.mark.parametrize("width", [63, 130])
-def test_lanes_are_the_plain_kernel(
-    name: str, params: dict[str, Any], lamp: Light, width: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if not uses_lanes(OPTIONS["device"]):
-        pytest.skip("lane kernels run on the CPU only")
-    images = []
-    for lanes in (False, True):
-        monkeypatch.setattr(searched_filter, "uses_lanes", lambda device, lanes=lanes: lanes)
-        images.append(render(small.cluttered(lamp), name, size=(width, 40), resolution=256, **params).visibility)
-    differs = np.nan_to_num(np.abs(images[0] - images[1])) > 1e-6
-    # ties, where the compiler fuses other multiplications with additions
-    assert np.mean(differs) <= 1e-3, f"{differs.sum()} pixels differ"
-    np.testing.assert_array_equal(np.isnan(images[0]), np.isnan(images[1]))

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 import small_scenes as small
-from filtering_sessions import INSIDE, OPTIONS, render, session, technique
+from filtering_sessions import session, technique
 
-from algorithms.filtering import pcf_split_kernel
 from algorithms.projections.composition import compose
-from wkernels.device.lanes import uses_lanes
 from wkernels.filters.layer_density import layer_densities
 from wkernels.scene.lights import DirectionalLight, Light, PointLight
 from wkernels.scene.model import Camera, Scene
@@ -44,7 +42,7 @@ def softness(name: str, projection: dict[str, Any], light: Light = SUN, **params
     world = result.world_position.astype(float)
     place = world - frame.geometry.origin_ws
     depth, width, split = [], [], []
-    ends = [view.choice.far for view in frame.light_views[0]]  # type: ignore[index, union-attr]
+    ends = [view.choice.far for view in frame.shown.views]  # type: ignore[index, union-attr]
     for row in range(128):
         near = np.abs(world[row, :, 0]) < 4.0  # the edge lies on x = 0
         lit, x = result.visibility[row, near], world[row, near, 0]
@@ -67,7 +65,7 @@ def by_split(width: np.ndarray, split: np.ndarray) -> list[float]:
 def texel_sizes(projection: dict[str, Any]) -> np.ndarray:
     frame = session(long_edge(SUN), size=(64, 64), projection=compose(projection))
     frame.light_map(R)
-    views, sample = frame.light_views  # type: ignore[misc]
+    views, sample = frame.shown.views, frame.shown.light_ws  # type: ignore[misc]
     return 1.0 / layer_densities(views, sample, np.zeros(3))[:, 0]
 
 
@@ -115,7 +113,7 @@ def test_densities_are_finite_differences_of_the_views() -> None:
     for sample in (light, np.array([0.0, 1.0, 0.0, 0.0])):
         frame = session(long_edge(SUN), size=(64, 48), projection=compose({**SPLITS, "warp": "lispsm_nopt"}))
         frame.light_map(R, sample)
-        views = frame.light_views[0]  # type: ignore[index]
+        views = frame.shown.views  # type: ignore[index]
         found = layer_densities(views, sample, np.zeros(3))
         for view, density in zip(views, found, strict=True):
             rows = view.ws_to_ss
@@ -126,24 +124,3 @@ def test_densities_are_finite_differences_of_the_views() -> None:
                 ends = np.stack([middle - 1e-4 * axis, middle + 1e-4 * axis])
                 h = ends @ rows[:, :3].T + rows[:, 3]
                 assert abs(np.diff(h[:, row] / h[:, 3])[0]) * 0.5 * R / 2e-4 == pytest.approx(value, rel=1e-5)
-
-
-@pytest.mark.parametrize("params", [{}, {"scale": "layer", "taps": 16}, {"kernel": "box", "bilinear": False}])
-@pytest.mark.parametrize("lamp", [small.light("rectangle"), small.light("directional"), INSIDE])
-@pytest.mark.parametrize("width", [63, 130])
-def test_lanes_are_the_plain_kernel(
-    params: dict[str, Any], lamp: Light, width: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if not uses_lanes(OPTIONS["device"]):
-        pytest.skip("lane kernels run on the CPU only")
-    images = []
-    for lanes in (False, True):
-        monkeypatch.setattr(pcf_split_kernel, "uses_lanes", lambda device, lanes=lanes: lanes)
-        result = render(
-            small.cluttered(lamp), "pcf_split_kernel", size=(width, 40), resolution=256, diameter=0.3, **params
-        )
-        images.append(result.visibility)
-    differs = np.nan_to_num(np.abs(images[0] - images[1])) > 1e-6
-    # ties, where the compiler fuses other multiplications with additions
-    assert np.mean(differs) <= 1e-3, f"{differs.sum()} pixels differ"
-    np.testing.assert_array_equal(np.isnan(images[0]), np.isnan(images[1]))

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 import small_scenes as small
-from filtering_sessions import INSIDE, OPTIONS, render, technique
+from filtering_sessions import render, technique
 
-from algorithms.plugins import find
-from wkernels.device.lanes import uses_lanes
-from wkernels.scene.lights import DirectionalLight, Light
+from wkernels.scene.lights import DirectionalLight
 from wkernels.scene.model import Camera, Mesh, Scene
 
 NAME = "projection_aliasing_mitigation"
@@ -70,21 +66,6 @@ def test_shadows_bleed_over_outlines_unless_depth_counts() -> None:
         top = np.abs(result.world_position[..., 1] - 1.2) < 1e-3
         lost[aware] = float(np.mean(1.0 - result.visibility[top]))
     assert top.sum() > 300 and lost[True] < 1e-3 and lost[False] > 0.02, lost
-
-
-@pytest.mark.parametrize("lamp", [small.light("rectangle"), small.light("directional"), INSIDE])
-@pytest.mark.parametrize("width", [63, 130])
-def test_lanes_are_the_plain_kernel(lamp: Light, width: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    if not uses_lanes(OPTIONS["device"]):
-        pytest.skip("lane kernels run on the CPU only")
-    module = sys.modules[find(NAME).__module__]
-    images = []
-    for lanes in (False, True):
-        monkeypatch.setattr(module, "uses_lanes", lambda device, lanes=lanes: lanes)
-        images.append(render(small.cluttered(lamp), NAME, resolution=256, half_width=0.0, size=(width, 40)).visibility)
-    differs = np.nan_to_num(images[0]) != np.nan_to_num(images[1])
-    # ties, where the compiler fuses other multiplications with additions
-    assert np.mean(differs) <= 1e-3, f"{differs.sum()} pixels differ"
 
 
 def test_it_smooths_what_the_shadow_map_says() -> None:

@@ -42,7 +42,7 @@ def measured(gamma_deg: float, device: str) -> dict[str, tuple[SamplingRate, np.
         session = Session(geometry, width=96, height=96, device=device, projection=projection)
         gbuffer = session.gbuffer()
         facing = gbuffer.normal_ws.numpy()[..., 2] > 0.99
-        out[warp] = sampling_rate(session, session.light_map(512), gbuffer), facing
+        out[warp] = sampling_rate(session, session.light_map(512).map, gbuffer), facing
     return out
 
 

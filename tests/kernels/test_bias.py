@@ -40,7 +40,7 @@ def test_slope_bias_leaves_no_acne_where_no_bias_does(
     session = make_session(
         [plane], lamp if light == "directional" else PointLight(position=np.array([1.0, 30.0, -2.0])), device
     )
-    light_map = session.light_map(resolution)
+    light_map = session.light_map(resolution).map
     normals = np.tile(normal, (len(points), 1))
     points = points - session.geometry.origin_ws
 
@@ -57,7 +57,7 @@ def test_slope_bias_leaves_no_acne_where_no_bias_does(
 def test_large_constant_and_normal_biases_clear_a_moderate_tilt(kind: int, device: str) -> None:
     plane, points, normal = tilted_plane(40.0, 25.0)
     session = make_session([plane], DirectionalLight(direction=np.array([0.0, -1.0, 0.0])), device)
-    light_map = session.light_map(128)
+    light_map = session.light_map(128).map
     normals = np.tile(normal, (len(points), 1))
     points = points - session.geometry.origin_ws
     inside = np.abs(points).max(axis=1) < 2.5
@@ -75,7 +75,7 @@ def test_a_constant_bias_opens_a_gap_at_a_wall(elevation_deg: float, footprints:
     wall = small_scenes.mesh("wall", (corners, np.array([(0, 1, 2), (0, 2, 3)], dtype=np.int32)), receives=False)
     lamp = DirectionalLight(direction=np.array([np.cos(elevation), -np.sin(elevation), 0.0]))
     session = make_session([ground, wall], lamp, device)
-    light_map = session.light_map(1024)
+    light_map = session.light_map(1024).map
     x = np.linspace(0.002, 5.9, 6000)
     points = np.stack([x, np.zeros_like(x), np.full_like(x, 0.1)], axis=1) - session.geometry.origin_ws
     normals = np.tile([0.0, 1.0, 0.0], (len(x), 1))

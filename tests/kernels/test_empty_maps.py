@@ -7,7 +7,7 @@ import pytest
 import small_scenes
 import warp as wp
 
-from wkernels.frame.empty_maps import UNCOMPARED, UNDRAWN, light_front, may_see, nothing_hides
+from wkernels.frame.empty_maps import EmptyMaps, light_front, may_see, nothing_hides
 from wkernels.frame.session import Session
 from wkernels.light_maps.light_map import depths_on_host
 from wkernels.projections.light_views import scene_views
@@ -41,7 +41,7 @@ def test_what_may_not_be_seen_is_not_drawn(kind: str, device: str) -> None:
         casters = session.geometry.bounds(casters=True)
         views = scene_views(session.light.centre, receivers, casters, 32)
         session.projection = lambda *_, views=views: views
-        depth = depths_on_host(session.light_map(32))
+        depth = depths_on_host(session.light_map(32).map)
         if not may_see(views, casters):
             unseen += 1
             assert np.isinf(depth).all()
@@ -92,17 +92,20 @@ def test_an_empty_map_is_neither_drawn_nor_compared_with(device: str) -> None:
         ],
         scene.lights[0],
     )
-    for anyway in ((), (UNCOMPARED,), (UNDRAWN,)):
+    for anyway in ((), (EmptyMaps.UNCOMPARED.pair,), (EmptyMaps.UNDRAWN.pair,)):
         session = Session(Geometry(scene, device), width=16, height=12, device=device, done_anyway=anyway)
         gbuffer, visibility = session.gbuffer(), session.visibility_buffer(session.gbuffer())
         light_map = session.light_map(16)
-        assert session.map_is_empty(light_map) == (anyway != (UNDRAWN,))
-        assert np.isinf(depths_on_host(light_map)).all()
+        assert light_map.empty == (anyway != (EmptyMaps.UNDRAWN.pair,))
+        assert np.isinf(depths_on_host(light_map.map)).all()
         assert nothing_hides(session, gbuffer, light_map, visibility) == (not anyway)
-        assert ((UNDRAWN in session.left_out), (UNCOMPARED in session.left_out)) == (anyway != (UNDRAWN,), not anyway)
+        assert ((EmptyMaps.UNDRAWN.pair in session.left_out), (EmptyMaps.UNCOMPARED.pair in session.left_out)) == (
+            anyway != (EmptyMaps.UNDRAWN.pair,),
+            not anyway,
+        )
     near = Session(Geometry(scene_with_box((0.0, 2.0, 0.0)), device), width=16, height=12, device=device)
     light_map = near.light_map(16)
-    assert not near.map_is_empty(light_map) and np.isfinite(depths_on_host(light_map)).any()
+    assert not light_map.empty and np.isfinite(depths_on_host(light_map.map)).any()
 
 
 def test_a_caster_that_comes_into_view_is_drawn(device: str) -> None:
@@ -120,6 +123,6 @@ def test_a_caster_that_comes_into_view_is_drawn(device: str) -> None:
     for frame in (0, 1, 2, 1):
         session.begin(frame)
         light_map = session.light_map(16)
-        seen.append((session.map_is_empty(light_map), bool(np.isfinite(depths_on_host(light_map)).any())))
+        seen.append((light_map.empty, bool(np.isfinite(depths_on_host(light_map.map)).any())))
         session.advance()
     assert seen == [(True, False), (False, True), (True, False), (False, True)]

@@ -7,10 +7,10 @@ import pytest
 import small_scenes as small
 import warp as wp
 
-import wkernels.irregular as irregular
 from wkernels.device.lanes import uses_lanes
 from wkernels.device.launch import launch
 from wkernels.frame.session import Session
+from wkernels.irregular import hidden
 from wkernels.irregular.casters import NO_ROWS, count_bands, list_bands
 from wkernels.irregular.grid import LightFace, fit_grid, light_faces
 from wkernels.irregular.samples import PAD, Places, count_before, count_rows, list_rows, sort_rows
@@ -115,10 +115,10 @@ def test_bands_list_their_triangles_in_order(shift: int, device: str) -> None:
 
 def buffers(light: str, device: str, lanes: bool, monkeypatch: pytest.MonkeyPatch) -> dict[str, np.ndarray]:
     """What a run leaves in the session's memory, by name, at a width that no run divides."""
-    monkeypatch.setattr(irregular, "uses_lanes", lambda device: lanes)
+    monkeypatch.setattr(hidden, "uses_lanes", lambda device: lanes)
     session = Session(Geometry(small.cluttered(LIGHTS[light]), device), width=100, height=60, device=device)
     visibility = wp.empty((60, 100), dtype=float, device=device)
-    irregular.find_hidden(session, session.gbuffer(), 32, visibility)
+    hidden.find_hidden(session, session.geometry, session.light.centre, session.gbuffer(), 32, visibility)
     found = {key[0]: array.numpy().copy() for key, array in session._buffers.items()}
     return {**found, "visibility": visibility.numpy()}
 
@@ -148,7 +148,9 @@ def test_places_are_those_of_numpy(light: str, device: str) -> None:
     geometry = Geometry(scene, device)
     session = Session(geometry, width=100, height=60, device=device)
     gbuffer = session.gbuffer()
-    irregular.find_hidden(session, gbuffer, 32, wp.empty((60, 100), dtype=float, device=device))
+    hidden.find_hidden(
+        session, geometry, session.light.centre, gbuffer, 32, wp.empty((60, 100), dtype=float, device=device)
+    )
     held = {key[0]: array.numpy() for key, array in session._buffers.items()}
     at, normal = gbuffer.position_ws.numpy().astype(float), gbuffer.normal_ws.numpy().astype(float)
     towards = session.light.centre[:3] - at * session.light.centre[3]

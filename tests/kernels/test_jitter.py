@@ -106,9 +106,11 @@ def test_shifts_fill_the_texel_evenly() -> None:
 
 def test_a_map_is_drawn_anew_only_where_its_jitter_changes(device: str) -> None:
     session = Session(Geometry(small.box_on_ground(LIGHTS["directional"]), device), width=8, height=8, device=device)
-    first = session.light_map(TEXELS, jitter=Jitter(0.1, 0.2, 0.0))
+    first = session.light_map(TEXELS, jitter=Jitter(0.1, 0.2, 0.0)).map
     depth = first.depth.numpy().copy()
-    assert session.light_map(TEXELS, jitter=Jitter(0.1, 0.2, 0.0)) is first
-    moved = session.light_map(TEXELS, jitter=Jitter(0.45, 0.2, 0.0))
+    assert session.light_map(TEXELS, jitter=Jitter(0.1, 0.2, 0.0)).map is first
+    moved = session.light_map(TEXELS, jitter=Jitter(0.45, 0.2, 0.0)).map
     assert moved is not first and not np.array_equal(moved.depth.numpy(), depth)
-    assert not np.array_equal(moved.ws_to_ls.numpy()[0, 0], session.light_map(TEXELS, slot="b").ws_to_ls.numpy()[0, 0])
+    assert not np.array_equal(
+        moved.ws_to_ls.numpy()[0, 0], session.light_map(TEXELS, slot="b").map.ws_to_ls.numpy()[0, 0]
+    )

@@ -45,9 +45,8 @@ def test_the_layer_is_the_one_that_the_rule_names(
 
     geometry = Geometry(small_scenes.cluttered(LIGHTS[kind]), device)  # type: ignore[arg-type]
     session = Session(geometry, width=8, height=8, device=device, projection=projection)
-    light_map = session.light_map(R)
-    assert session.light_views is not None
-    views = session.light_views[0]
+    light_map = session.light_map(R).map
+    views = session.shown.views
     rng = np.random.default_rng(3)
     box = geometry.bounds(receivers=True)
     points = rng.uniform(box.low - 1.0, box.high + 1.0, (5000, 3)).astype(np.float32).astype(float)

@@ -7,10 +7,10 @@ import pytest
 import small_scenes
 import warp as wp
 
+from wkernels.device import twin
 from wkernels.device.lanes import uses_lanes
 from wkernels.frame.near_plane import least_depth
-from wkernels.frame.session import Session, near_plane
-from wkernels.light_maps import depth_clamp
+from wkernels.frame.session import Session
 from wkernels.light_maps.depth_clamp import clamp_casters
 from wkernels.scene.geometry import Geometry
 
@@ -24,7 +24,7 @@ def test_the_least_depth_is_that_of_numpy(
 ) -> None:
     if lanes and not uses_lanes(device):
         pytest.skip("lane kernels run on the CPU only")
-    monkeypatch.setattr(near_plane, "uses_lanes", lambda device: lanes)
+    monkeypatch.setattr(twin, "uses_lanes", lambda device: lanes)
     height, width = size
     geometry = Geometry(small_scenes.box_on_ground(small_scenes.light("directional")), device)
     session = Session(geometry, width=width, height=height, device=device)
@@ -53,7 +53,7 @@ def test_depths_before_the_near_plane_are_moved_onto_it(
 ) -> None:
     if lanes and not uses_lanes(device):
         pytest.skip("lane kernels run on the CPU only")
-    monkeypatch.setattr(depth_clamp, "uses_lanes", lambda device: lanes)
+    monkeypatch.setattr(twin, "uses_lanes", lambda device: lanes)
     depth = np.random.default_rng(7).uniform(-9.0, 9.0, size).astype(np.float32)
     depth[0, 0] = np.inf
     out = wp.array(depth, dtype=float, device=device)

@@ -102,7 +102,7 @@ def hard_tests(first: int, gbuffer: GBuffer, light_map: LightMap, bias: Bias, ou
 def test_contest_is_the_squared_difference_of_test_and_psi(device: str) -> None:
     session = Session(Geometry(small.cluttered(small.light("rectangle")), device), width=130, height=75, device=device)
     plugin: Any = find("tc_soft_paper")
-    gbuffer, light_map, bias = session.gbuffer(), session.light_map(128), plugin.Params().device_bias
+    gbuffer, light_map, bias = session.gbuffer(), session.light_map(128).map, plugin.Params().device_bias
     shape = gbuffer.depth.shape
     psi = wp.array(np.random.default_rng(4).random((*shape, 2)).astype(np.float32), dtype=wp.vec2, device=device)
     tau = wp.empty(shape, dtype=float, device=device)

@@ -21,11 +21,11 @@ def test_every_pixel_has_the_layer_that_holds_it_most_centrally(device: str) -> 
         small_scenes.light("point", (0.0, 2.5, 0.5)),  # amid what receives: six faces
     )
     session = Session(Geometry(scene, device), width=40, height=30, device=device)
-    light_map, gbuffer = session.light_map(32), session.gbuffer()
-    assert light_map.layers == 6 and session.light_views is not None
+    light_map, gbuffer = session.light_map(32).map, session.gbuffer()
+    assert light_map.layers == 6
     layers = chosen_layers(gbuffer, light_map, device)
     flags, points = gbuffer.flags.numpy(), gbuffer.position_ws.numpy().reshape(-1, 3).astype(float)
-    inside = host_locate(session.light_views[0], points, 32)[2]
+    inside = host_locate(session.shown.views, points, 32)[2]
     expected = np.where(inside.max(axis=1) >= 0.0, inside.argmax(axis=1), -1).reshape(layers.shape)
     ordered = np.sort(inside, axis=1)
     # float32 may decide otherwise where two faces hold a point equally well

@@ -20,7 +20,7 @@ from wkernels.scene.geometry import Geometry
 @pytest.mark.parametrize("kind", LIGHTS)
 def test_points_are_found_where_the_views_put_them(kind: str, device: str) -> None:
     session, views = cluttered_session(kind, device)
-    light_map = session.light_map(48)
+    light_map = session.light_map(48).map
     assert light_map.layers == len(views) == (6 if kind == "six faces" else 1)
     box = session.geometry.bounds(receivers=True)
     points = np.random.default_rng(0).uniform(box.low - 1.0, box.high + 1.0, (4000, 3))
@@ -55,7 +55,7 @@ def test_points_are_found_where_the_views_put_them(kind: str, device: str) -> No
 @pytest.mark.parametrize("kind", LIGHTS)
 def test_texels_hold_the_depth_of_what_the_light_sees(kind: str, device: str) -> None:
     session, views = cluttered_session(kind, device)
-    light_map = session.light_map(48)
+    light_map = session.light_map(48).map
     geometry = session.geometry
     corners = geometry.points_ws.numpy().astype(float)[geometry.indices.numpy().reshape(-1, 3)]
     pixels = (np.arange(48) + 0.5) / 48
@@ -84,7 +84,7 @@ def test_planes_are_predicted_over_texel_offsets(kind: str, device: str) -> None
     """Against where the ray of the offset texel position meets the plane, in float64."""
     session, views = cluttered_session(kind, device)
     resolution, count = 48, 400
-    light_map = session.light_map(resolution)
+    light_map = session.light_map(resolution).map
     rng = np.random.default_rng(1)
     box = session.geometry.bounds(receivers=True)
     points = rng.uniform(box.low, box.high, (4 * count, 3)).astype(np.float32).astype(float)
@@ -125,7 +125,7 @@ def test_planes_are_predicted_over_texel_offsets(kind: str, device: str) -> None
 
 def test_a_plane_seen_edge_on_predicts_its_own_depth(device: str) -> None:
     session, _ = cluttered_session("directional", device)
-    light_map = session.light_map(48)
+    light_map = session.light_map(48).map
     direction = session.light.centre[:3]
     normal = np.cross(direction, [1.0, 0.0, 0.0])
     rows = [wp.zeros(1, dtype=wp.vec3, device=device) for _ in range(2)]
@@ -142,7 +142,7 @@ def test_a_plane_seen_edge_on_predicts_its_own_depth(device: str) -> None:
 @pytest.mark.parametrize("kind", LIGHTS)
 def test_bilinear_is_the_weighted_mean_of_four_comparisons(kind: str, device: str) -> None:
     session, _ = cluttered_session(kind, device)
-    light_map = session.light_map(48)
+    light_map = session.light_map(48).map
     rng = np.random.default_rng(2)
     box = session.geometry.bounds(receivers=True)
     points = rng.uniform(box.low, box.high, (3000, 3))
@@ -168,7 +168,7 @@ def test_bilinear_is_the_weighted_mean_of_four_comparisons(kind: str, device: st
 def test_comparisons_agree_with_shadow_rays(kind: str, device: str) -> None:
     """Points well inside a surface's lit or dark part."""
     session, _ = cluttered_session(kind, device)
-    light_map = session.light_map(1024)
+    light_map = session.light_map(1024).map
     geometry = session.geometry
     corners = geometry.points_ws.numpy().astype(float)[geometry.indices.numpy().reshape(-1, 3)]
     rng = np.random.default_rng(3)
@@ -190,7 +190,7 @@ def test_comparisons_agree_with_shadow_rays(kind: str, device: str) -> None:
 
 def test_points_outside_every_layer_have_no_receiver(device: str) -> None:
     session, _ = cluttered_session("perspective", device)
-    light_map = session.light_map(16)
+    light_map = session.light_map(16).map
     points = np.array([(500.0, 0.0, 0.0), (2.0, 50.0, -1.0), (0.0, 0.0, 0.0)]) - session.geometry.origin_ws
     got = compare(light_map, make_bias(BIAS_SLOPE), points, np.tile([0.0, 1.0, 0.0], (3, 1)), device)
     np.testing.assert_array_equal(got["receiver"][:, 3], [-1, -1, 0])
@@ -201,8 +201,8 @@ def test_moving_casters_are_tagged_by_sign_only(device: str) -> None:
     ground, box = scene.meshes
     ground, box = replace(ground, casts=True), replace(box, moving=True)
     session = Session(Geometry(replace(scene, meshes=(ground, box)), device), width=8, height=8, device=device)
-    plain = depths_on_host(session.light_map(64))
-    tagged = depths_on_host(session.light_map(64, tag_moving_casters=True))
+    plain = depths_on_host(session.light_map(64).map)
+    tagged = depths_on_host(session.light_map(64, tag_moving_casters=True).map)
     np.testing.assert_array_equal(np.abs(tagged), plain)
     still = session.geometry.meshes.index(ground)
     assert still == 0
@@ -211,7 +211,7 @@ def test_moving_casters_are_tagged_by_sign_only(device: str) -> None:
     )
     ground_only = without.light_map(
         64, session.light.centre + np.append(session.geometry.origin_ws - without.geometry.origin_ws, 0)
-    )
+    ).map
     assert 0.01 < (tagged < 0.0).mean() < 0.9
     nearer = plain < depths_on_host(ground_only) - 0.05
     assert ((tagged < 0.0) == nearer).mean() > 0.97

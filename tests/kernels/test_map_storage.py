@@ -105,17 +105,17 @@ def test_pictures_do_not_depend_on_the_storage(name: str, params: dict[str, Any]
 def test_maps_do_not_depend_on_the_storage(storage: str, tagged: bool, resolution: int, device: str) -> None:
     splits = {**SPLIT, "splits": 6} if storage == "cube6" else SPLIT
     made = [session(SUN, device, moving=True, storage=kind, **splits) for kind in ("separate", storage)]
-    plain, found = (s.light_map(resolution, tag_moving_casters=tagged) for s in made)
+    plain, found = (s.light_map(resolution, tag_moving_casters=tagged).map for s in made)
     np.testing.assert_array_equal(depths_on_host(found), depths_on_host(plain))
     assert not tagged or (depths_on_host(found) < 0.0).any()
 
 
 def test_unused_tiles_are_neither_cleared_nor_drawn(device: str) -> None:
     running = session(SUN, device, storage="atlas16", **SPLIT)
-    light_map = running.light_map(32)
+    light_map = running.light_map(32).map
     light_map.depth.fill_(-7.0)
     running.begin(0)
-    light_map = running.light_map(32)
+    light_map = running.light_map(32).map
     depth = light_map.depth.numpy().reshape(128, 128)
     drawn = light_map.layers
     assert (depth[:32, : 32 * drawn] != -7.0).all()
@@ -125,7 +125,7 @@ def test_unused_tiles_are_neither_cleared_nor_drawn(device: str) -> None:
 def test_a_map_takes_what_its_storage_says(device: str) -> None:
     texels = {}
     for storage in ("separate", "array", "atlas4", "atlas9", "atlas16"):
-        light_map = session(SUN, device, storage=storage, **SPLIT).light_map(40)
+        light_map = session(SUN, device, storage=storage, **SPLIT).light_map(40).map
         texels[storage] = layout_of(light_map).texels / 40**2
         assert light_map.depth.size == layout_of(light_map).texels
     layers = light_map.layers
@@ -140,7 +140,7 @@ def test_six_faces_go_into_a_cube_and_where_an_atlas_is_too_small_one_after_the_
     for storage, texels in (("cube6", 6), ("atlas4", 6), ("atlas9", 9)):
         running = session(INSIDE, device, storage=storage)
         np.testing.assert_array_equal(running.render(technique).visibility, expected)
-        light_map = running.light_map(64)
+        light_map = running.light_map(64).map
         assert light_map.layers == 6 and light_map.depth.size == texels * 64**2
 
 

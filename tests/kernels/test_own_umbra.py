@@ -71,7 +71,7 @@ def test_own_umbra_is_where_every_corner_is_behind(kind: str, device: str) -> No
     launch(mark, shape, [gbuffer, wp.empty(0, dtype=wp.vec4, device=device)], [out], device=device)
     assert not out.numpy().any(), "without corners nothing is known to be hidden"
     if uses_lanes(device):
-        views = lane_views(gbuffer, session.light_map(16))
+        views = lane_views(gbuffer, session.light_map(16).map)
         inputs = [views, runs_of(gbuffer.depth, Floats, PADDING), corners]
         out.fill_(7)
         launch(mark_lanes, (shape[0], runs_per_row(shape[1])), inputs, [out], device=device)

@@ -240,8 +240,8 @@ def test_maps_do_not_depend_on_how_they_are_drawn(tagged: bool, storage: str, dr
         for frame in (0, 1, 2):
             plain.begin(frame)
             running.begin(frame)
-            expected = depths_on_host(plain.light_map(64, tag_moving_casters=tagged))
-            found = depths_on_host(running.light_map(64, tag_moving_casters=tagged))
+            expected = depths_on_host(plain.light_map(64, tag_moving_casters=tagged).map)
+            found = depths_on_host(running.light_map(64, tag_moving_casters=tagged).map)
             np.testing.assert_array_equal(found, expected)
         assert not tagged or (found < 0.0).any()
         beside = [n for (what, _), n in running.left_out.items() if what == "blocks of casters in light views"]

@@ -49,7 +49,7 @@ def session_of(scene: Scene, device: str, projection: dict[str, Any] | None = No
 
 
 def measure(session: Session, texels: int = TEXELS) -> tuple[SamplingRate, LightMap, GBuffer]:
-    light_map, gbuffer = session.light_map(texels), session.gbuffer()
+    light_map, gbuffer = session.light_map(texels).map, session.gbuffer()
     return sampling_rate(session, light_map, gbuffer), light_map, gbuffer
 
 
@@ -140,8 +140,7 @@ def test_perspective_errors_are_those_along_the_view_vector(kind: str, projectio
     views = compose(PROJECTIONS[projection]) if PROJECTIONS[projection] else None
     session = Session(Geometry(scene, device), width=65, height=33, device=device, projection=views)
     rate, _, gbuffer = measure(session)
-    assert session.light_views is not None
-    host, sample = session.light_views
+    host, sample = session.shown.views, session.shown.light_ws
     z, m_x, m_z = perspective_aliasing(host, sample, session.eye(), steps=4001)
     depth = gbuffer.depth.numpy()[16, 32]
     known = np.isfinite(m_x)

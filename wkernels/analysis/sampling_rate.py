@@ -12,22 +12,21 @@ The kernel works in float64: under a strong warp a texel's size is a difference 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 from scipy.spatial import ConvexHull, QhullError
 
+from wkernels.frame.session import Session
+from wkernels.light_maps.host_map import HostMap
 from wkernels.light_maps.light_map import LightMap, to_layer
 from wkernels.projections.clipping import ConvexBody, clip_polyhedron, frustum_planes
 from wkernels.projections.focusing import seen_body
 from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
 from wkernels.scene.geometry import RECEIVES
 from wkernels.scene.views import HostView
-
-if TYPE_CHECKING:
-    from wkernels.frame.session import Session
 
 LEAST_COSINE = wp.constant(1.0e-6)
 """Between a surface and the plane of a beam: float32 normals cannot tell smaller ones from 0. Keeps errors finite."""
@@ -200,7 +199,7 @@ def unread_share(rate: SamplingRate, light_map: LightMap) -> float:
     return 1.0 - float(np.count_nonzero(read)) / len(read)
 
 
-def wasted_shares(views: list[HostView], body: ConvexBody) -> list[float]:
+def wasted_shares(views: Sequence[HostView], body: ConvexBody) -> list[float]:
     """Share of each layer's area that lies outside of what it is there for (Stingl 2011, section 7.5), 0 to 1.
 
     Args:
@@ -252,12 +251,13 @@ class MapUse:
 
 def map_use(session: Session) -> MapUse | None:
     """Measures the map of the frame that ``session`` rendered last; None if it read none. Is not part of the frame."""
-    if session.read_map is None or session.light_views is None:
+    read = session.shown
+    if not isinstance(read, HostMap):
         return None
-    rate = sampling_rate(session, session.read_map, session.gbuffer())
+    rate = sampling_rate(session, read.map, session.gbuffer())
     receivers = session.geometry.bounds(receivers=True)
     waste = 1.0
     if not receivers.empty:
         eye = session.near_plane.used or session.eye()
-        waste = float(np.mean(wasted_shares(session.light_views[0], seen_body(receivers, eye))))
-    return MapUse(rate, waste, unread_share(rate, session.read_map))
+        waste = float(np.mean(wasted_shares(read.views, seen_body(receivers, eye))))
+    return MapUse(rate, waste, unread_share(rate, read.map))

@@ -65,3 +65,10 @@ def runs_of(values: wp.array, dtype: type, padding: int = 0) -> wp.array:
     run = {Pairs: 2 * LANES, Vectors: 3 * LANES}.get(dtype, LANES)
     entries = max(0, values.capacity // 4 + padding - int(run) + 1)
     return wp.array(ptr=values.ptr, dtype=dtype, shape=entries, strides=(4,), device="cpu")
+
+
+@wp.func
+def store_run(values: Floats, x0: int, y: int, image_out: wp.array2d(dtype=float)):
+    """Writes a run to the pixels x0, x0 + 1, ... of row y, as far as the row goes."""
+    for k in range(wp.min(LANES, image_out.shape[1] - x0)):
+        image_out[y, x0 + k] = values[k]

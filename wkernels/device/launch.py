@@ -14,6 +14,7 @@ from collections.abc import Sequence
 
 import warp as wp
 
+from wkernels.device.twin import Twin
 from wkernels.device.workers import Team, available_cpus
 
 TILES_PER_THREAD = 6  # enough for uneven tiles to even out, few enough that the cost of launching stays small
@@ -46,7 +47,7 @@ def wake_workers(device: str, threads: int | None) -> None:
 
 
 def launch(
-    kernel: wp.Kernel,
+    kernel: wp.Kernel | Twin,
     dim: int | Sequence[int],
     inputs: Sequence,
     outputs: Sequence = (),
@@ -58,7 +59,8 @@ def launch(
     """Runs ``kernel`` over ``dim``; on the CPU in tiles along the first axis, spread over threads.
 
     Args:
-        kernel: Its first argument is ``first: int``, to be added to the first index of ``wp.tid()``.
+        kernel: Its first argument is ``first: int``, to be added to the first index of ``wp.tid()``. Of a twin the
+            kernel that suits the device; grid and arguments are those of the plain one.
         dim: Grid size, 1 to 3 axes. A grid with no cells is no launch.
         inputs: Arguments after ``first``.
         outputs: Further arguments, written by the kernel.
@@ -67,6 +69,9 @@ def launch(
         tile: Cells of the first axis per tile; chosen from the grid and the threads if not given.
     """
     shape = (dim,) if isinstance(dim, int) else tuple(dim)
+    if isinstance(kernel, Twin):
+        _launch_twin(kernel, shape, inputs, outputs, device, threads, tile)
+        return
     cells = 1
     for extent in shape:
         cells *= extent
@@ -97,3 +102,26 @@ def launch(
     _team.run(command, rows, workers)
     spent_s = (time.perf_counter() - begin) * workers / cells
     _cell_s[key] = min(_cell_s.get(key, spent_s), spent_s)
+
+
+def _launch_twin(
+    twin: Twin,
+    shape: tuple[int, ...],
+    inputs: Sequence,
+    outputs: Sequence,
+    device: str,
+    threads: int | None,
+    tile: int | None,
+) -> None:
+    kernel, grid, inputs_of, outputs_of = twin.chosen(shape, inputs, outputs, device)
+
+    def run() -> None:
+        launch(kernel, grid, inputs_of, outputs_of, device=device, threads=threads, tile=tile)
+
+    if kernel is twin.plain or not twin.is_watched:
+        run()
+        return
+    with twin.observed(
+        lambda others: launch(twin.plain, shape, inputs, others, device=device, threads=threads), outputs
+    ):
+        run()

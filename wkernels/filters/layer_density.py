@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-from wkernels.frame.session import Session
-from wkernels.light_maps.light_map import LightMap
+from wkernels.light_maps.host_map import HostMap
 from wkernels.scene.views import HostView
+from wkernels.workspace.workspace import Workspace
 
 
 def layer_densities(views: Sequence[HostView], light_ws: np.ndarray, reference_ws: np.ndarray) -> np.ndarray:
@@ -36,17 +36,13 @@ def layer_densities(views: Sequence[HostView], light_ws: np.ndarray, reference_w
     return np.array(out)
 
 
-def pull_layer_densities(frame: Session, light_map: LightMap) -> wp.array:
-    """``layer_densities`` of the map that the frame has just given, at the middle of the receivers; vec2 (layers,)."""
+def pull_layer_densities(work: Workspace, light_map: HostMap, reference_ws: np.ndarray) -> wp.array:
+    """``layer_densities`` of a map as a product, vec2 (layers,); ``reference_ws`` must follow the map's geometry."""
 
     def build(old: wp.array | None) -> wp.array:
-        assert frame.light_views is not None
-        views, sample = frame.light_views
-        box = frame.geometry.bounds(receivers=True)
-        middle = np.zeros(3) if box.empty else 0.5 * (box.low + box.high)
-        densities = layer_densities(views, sample, middle).astype(np.float32)
-        return wp.array(densities, dtype=wp.vec2, device=frame.device)
+        densities = layer_densities(light_map.views, light_map.light_ws, reference_ws).astype(np.float32)
+        return wp.array(densities, dtype=wp.vec2, device=work.device)
 
-    # a map that is drawn anew is a new struct, so that the struct itself stands for everything the map depends on
-    densities: wp.array = frame.product("texels per length", "texels per length", (light_map,), build)
+    key = ("texels per length", light_map.slot)
+    densities: wp.array = work.product("texels per length", key, (light_map.map,), build)
     return densities

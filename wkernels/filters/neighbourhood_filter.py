@@ -8,11 +8,12 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, first_of, flat_floats, flat_pairs, runs_per_row, second_of, uses_lanes
+from wkernels.device.lanes import LANES, Floats, first_of, flat_floats, flat_pairs, second_of
+from wkernels.device.twin import Twin
 from wkernels.errors import InputError
-from wkernels.frame.session import Session
 from wkernels.sampling.disc_sets import poisson_disc_taps
 from wkernels.scene.views import View
+from wkernels.workspace.workspace import Workspace
 
 
 def opposite_taps(count: int) -> np.ndarray:
@@ -37,13 +38,13 @@ def opposite_taps(count: int) -> np.ndarray:
     return np.concatenate([half, -half])
 
 
-def pull_opposite_taps(frame: Session, count: int) -> wp.array:
+def pull_opposite_taps(work: Workspace, count: int) -> wp.array:
     """``opposite_taps`` as a product of the frame, vec2 (count,)."""
 
     def build(old: wp.array | None) -> wp.array:
-        return old or wp.array(opposite_taps(count).astype(np.float32), dtype=wp.vec2, device=frame.device)
+        return old or wp.array(opposite_taps(count).astype(np.float32), dtype=wp.vec2, device=work.device)
 
-    taps: wp.array = frame.product("filter taps", ("opposite taps", count), (), build)
+    taps: wp.array = work.product("filter taps", ("opposite taps", count), (), build)
     return taps
 
 
@@ -178,8 +179,17 @@ def filter_neighbourhood_lanes(
         visibility_out[y, x0 + k] = 1.0 - total[k]
 
 
+FILTER_NEIGHBOURHOOD = Twin(
+    filter_neighbourhood,
+    filter_neighbourhood_lanes,
+    inputs=lambda psi_depth, half, *others: [flat_pairs(psi_depth), flat_floats(half), *others],
+    tolerance=1e-5,
+    flips=1e-3,
+)
+
+
 def filter_image(
-    frame: Session,
+    work: Workspace,
     psi_depth: wp.array,
     half_width_px: wp.array,
     taps: int,
@@ -187,11 +197,5 @@ def filter_image(
     visibility_out: wp.array,
 ) -> None:
     """Launches ``filter_neighbourhood``, see there, with so many opposite taps."""
-    shape = visibility_out.shape
-    options = [pull_opposite_taps(frame, taps), depth_range]
-    if uses_lanes(frame.device):
-        images = [flat_pairs(psi_depth), flat_floats(half_width_px)]
-        runs = (shape[0], runs_per_row(shape[1]))
-        frame.launch(filter_neighbourhood_lanes, runs, [*images, *options], [visibility_out])
-    else:
-        frame.launch(filter_neighbourhood, shape, [psi_depth, half_width_px, *options], [visibility_out])
+    inputs = [psi_depth, half_width_px, pull_opposite_taps(work, taps), depth_range]
+    work.launch(FILTER_NEIGHBOURHOOD, visibility_out.shape, inputs, [visibility_out])

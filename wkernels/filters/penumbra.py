@@ -11,14 +11,15 @@ with the near plane as tight as the map's content allows; a nearer one would onl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 
 import numpy as np
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, runs_of, uses_lanes
+from wkernels.device.lanes import LANES, Floats, runs_of
+from wkernels.device.twin import Twin, cell_by_cell
 from wkernels.errors import InputError, nearest
-from wkernels.frame.session import Session
+from wkernels.light_maps.host_map import HostMap
 from wkernels.light_maps.light_map import (
     BORDER,
     LightMap,
@@ -31,6 +32,7 @@ from wkernels.light_maps.light_map import (
 from wkernels.sampling.disc_sets import box_taps, poisson_disc_taps
 from wkernels.sampling.point_sets import hash_2d, uniform_01
 from wkernels.scene.light_extent import light_half_axes
+from wkernels.workspace.workspace import Workspace
 
 TAP_SETS: dict[str, Callable[[int], np.ndarray]] = {"poisson": poisson_disc_taps, "box": box_taps}
 """Filter kernels by name: number of taps -> float64 (n, 2)."""
@@ -79,45 +81,34 @@ def check_tap_count(count: int, kernel: str) -> int:
     return count
 
 
-def pull_taps(frame: Session, kernel: str, count: int) -> wp.array:
-    """``tap_set`` as a product of the frame, vec2 (count,)."""
+def pull_taps(work: Workspace, kernel: str, count: int) -> wp.array:
+    """``tap_set`` as a product, vec2 (count,)."""
 
     def build(old: wp.array | None) -> wp.array:
-        return old or wp.array(tap_set(kernel, count).astype(np.float32), dtype=wp.vec2, device=frame.device)
+        return old or wp.array(tap_set(kernel, count).astype(np.float32), dtype=wp.vec2, device=work.device)
 
-    taps: wp.array = frame.product("filter taps", ("filter taps", kernel, count), (), build)
+    taps: wp.array = work.product("filter taps", ("filter taps", kernel, count), (), build)
     return taps
 
 
-def pull_footprint(frame: Session, light_map: LightMap, slot: Hashable = "centre") -> LightFootprint:
-    """The footprint of the frame's light in one of its maps, as a product that lasts as long as the map does.
-
-    Args:
-        frame: The session.
-        light_map: Drawn from the light's centre or any of its points.
-        slot: Of the map; footprints that must live side by side need different ones.
-    """
+def pull_footprint(work: Workspace, light_map: HostMap) -> LightFootprint:
+    """The footprint of a map's light in the map, as a product that lasts as long as map and light do."""
 
     def build(old: LightFootprint | None) -> LightFootprint:
-        right, up = light_map.right_ws.numpy(), light_map.up_ws.numpy()
-        layers = light_map.layers
-        axes = np.stack([light_half_axes(frame.light, right[k], up[k]) for k in range(layers)])
+        map_, light = light_map.map, light_map.light
+        right, up = map_.right_ws.numpy(), map_.up_ws.numpy()
+        axes = np.stack([light_half_axes(light, right[k], up[k]) for k in range(map_.layers)])
         out = LightFootprint()
-        out.half_axes = wp.array(axes.astype(np.float32), dtype=wp.mat22, device=frame.device)
-        out.is_point = 0.0 if frame.light.is_directional else 1.0
-        out.nearest_depth = wp.empty(layers, dtype=float, device=frame.device)
-        rows = frame.buffer("row minima", (layers, light_map.resolution), wp.float32)
-        if uses_lanes(frame.device) and light_map.resolution >= LANES:
-            inputs = [runs_of(light_map.depth, Floats), light_map.layer_begin, light_map.pitch, light_map.resolution]
-            frame.launch(find_row_minima_lanes, rows.shape[::-1], inputs, [rows])
-        else:
-            frame.launch(find_row_minima, rows.shape[::-1], [light_map], [rows])
-        frame.launch(find_minima, layers, [rows], [out.nearest_depth])
+        out.half_axes = wp.array(axes.astype(np.float32), dtype=wp.mat22, device=work.device)
+        out.is_point = 0.0 if light.is_directional else 1.0
+        out.nearest_depth = wp.empty(map_.layers, dtype=float, device=work.device)
+        rows = work.buffer("row minima", (map_.layers, map_.resolution), wp.float32)
+        work.launch(FIND_ROW_MINIMA, rows.shape[::-1], [map_], [rows])
+        work.launch(find_minima, map_.layers, [rows], [out.nearest_depth])
         return out
 
-    # a map that is drawn anew is a new struct, so that the struct itself stands for everything the map depends on
-    inputs = (light_map, frame.lights.stamp)
-    footprint: LightFootprint = frame.product("nearest blocker", ("light footprint", slot), inputs, build)
+    inputs = (light_map.map, light_map.light)
+    footprint: LightFootprint = work.product("nearest blocker", ("light footprint", light_map.slot), inputs, build)
     return footprint
 
 
@@ -151,6 +142,15 @@ def find_row_minima_lanes(
         for k in range(LANES):
             least[k] = wp.min(least[k], wp.abs(held[k]))
     minima_out[layer, y] = wp.min(least)
+
+
+FIND_ROW_MINIMA = Twin(
+    find_row_minima,
+    find_row_minima_lanes,
+    inputs=lambda m: [runs_of(m.depth, Floats), m.layer_begin, m.pitch, m.resolution],
+    grid=cell_by_cell,
+    fits=lambda m, minima: m.resolution >= LANES,
+)
 
 
 @wp.kernel

@@ -1,9 +1,8 @@
 """A filter of fixed size after a cheap search for blockers, which settles most pixels by itself.
 
 Where none of the search's taps is hidden the receiver is lit, where all of them are it is dark, and the filter is left
-out in both cases (Fernando 2005; Stingl 2011, section 3.6, who leaves it out where none is). A search without taps
-settles nothing: then this is the plain filter. What the search misses is lost; ``rim_taps`` looks where an edge that
-enters the filter must come through.
+out in both cases (Fernando 2005; Stingl 2011, section 3.6, who leaves it out where none is). What the search misses is
+lost; ``rim_taps`` looks where an edge that enters the filter must come through.
 """
 
 from __future__ import annotations
@@ -13,25 +12,32 @@ from collections.abc import Hashable
 import numpy as np
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, runs_per_row, uses_lanes
+from wkernels.device.lanes import LANES, Floats, store_run
+from wkernels.device.twin import Twin
 from wkernels.errors import InputError
 from wkernels.filters.penumbra import mean_blocker_depth, penumbra_filter
 from wkernels.filters.penumbra_lanes import keep_without_receiver, penumbra_filter_run
-from wkernels.frame.session import Session
 from wkernels.light_maps.comparison_lanes import SpreadRun, compare_nearest_taps
+from wkernels.light_maps.host_map import HostMap
 from wkernels.light_maps.light_map import Bias, LightMap
-from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
+from wkernels.light_maps.receiver_lanes import LaneViews, in_lane_views, locate_run
 from wkernels.light_maps.receivers import receiver_of_pixel
 from wkernels.raster.gbuffer import GBuffer
+from wkernels.workspace.left_out import Omission
+from wkernels.workspace.workspace import Workspace
 
-SETTLED = "filter of pixels", "the search settles them"
+
+class Searched(Omission):
+    """What the search saves."""
+
+    SETTLED = "filter of pixels", "the search settles them"
 
 
 @wp.struct
 class SearchedFilter:
     """A search and the filter that follows it; both sets of taps are vec2 (n,), radii in texels."""
 
-    search_taps: wp.array(dtype=wp.vec2)  # may be empty
+    search_taps: wp.array(dtype=wp.vec2)
     search_radius: float
     taps: wp.array(dtype=wp.vec2)
     radius: float
@@ -62,15 +68,15 @@ def rim_taps(count: int) -> np.ndarray:
 
 
 def searched_filter(
-    frame: Session, search_taps: np.ndarray, taps: np.ndarray, radius: float, bilinear: bool, slot: Hashable
+    work: Workspace, search_taps: np.ndarray, taps: np.ndarray, radius: float, bilinear: bool, slot: Hashable
 ) -> SearchedFilter:
     """The parameters of ``filter_after_search``, as a product of the frame.
 
     The search reaches as far as the filter does: to its outermost tap, and with bilinear taps half a texel farther.
 
     Args:
-        frame: The session.
-        search_taps: (m, 2), in the unit disc; m may be 0.
+        work: Of the frame.
+        search_taps: (m, 2), in the unit disc.
         taps: (n, 2), of ``tap_set``.
         radius: Of the filter, texels.
         bilinear: Whether each of its taps is the mean of 2 x 2 comparisons.
@@ -80,14 +86,14 @@ def searched_filter(
     def build(old: SearchedFilter | None) -> SearchedFilter:
         out = SearchedFilter()
         out.search_taps, out.taps = (
-            wp.array(set_.astype(np.float32).reshape(-1, 2), dtype=wp.vec2, device=frame.device)
+            wp.array(set_.astype(np.float32).reshape(-1, 2), dtype=wp.vec2, device=work.device)
             for set_ in (search_taps, taps)
         )
         out.radius, out.bilinear = radius, int(bilinear)
         out.search_radius = radius * float(np.linalg.norm(taps, axis=1).max()) + 0.5 * bilinear
         return out
 
-    made: SearchedFilter = frame.product("filter taps", ("searched filter", slot), (), build)
+    made: SearchedFilter = work.product("filter taps", ("searched filter", slot), (), build)
     return made
 
 
@@ -108,13 +114,11 @@ def filter_undecided(
     visible = receiver.visible
     left_out = int(0)
     if receiver.layer >= 0:
-        settled = int(0)
         count = float(searched.search_taps.shape[0])
-        if count > 0.0:
-            search = wp.mat22(searched.search_radius, 0.0, 0.0, searched.search_radius)
-            blockers = mean_blocker_depth(light_map, receiver, search, searched.search_taps)[1]
-            settled = wp.where(blockers == 0.0 or blockers == count, 1, 0)
-            visible = wp.where(blockers == 0.0, 1.0, 0.0)
+        search = wp.mat22(searched.search_radius, 0.0, 0.0, searched.search_radius)
+        blockers = mean_blocker_depth(light_map, receiver, search, searched.search_taps)[1]
+        settled = wp.where(blockers == 0.0 or blockers == count, 1, 0)
+        visible = wp.where(blockers == 0.0, 1.0, 0.0)
         left_out = settled * searched.leave_out
         if left_out == 0:
             spread = wp.mat22(searched.radius, 0.0, 0.0, searched.radius)
@@ -150,18 +154,16 @@ def filter_undecided_lanes(
         spread = SpreadRun()
         open = Floats(1.0)
         found = Floats(0.0)
-        undecided = int(receivers.count)
-        if searched.search_taps.shape[0] > 0:
-            spread.xx = Floats(searched.search_radius)
-            spread.yy = Floats(searched.search_radius)
-            lit_taps, _hidden, _moving = compare_nearest_taps(views, light_map, receivers, spread, searched.search_taps)
-            count = float(searched.search_taps.shape[0])
-            undecided = int(0)
-            for k in range(LANES):
-                mixed = wp.where(lit_taps[k] > 0.0, wp.where(lit_taps[k] < count, 1, 0), 0)
-                open[k] = float(mixed)
-                found[k] = wp.where(lit_taps[k] > 0.0, 1.0, 0.0)
-                undecided += wp.where(layers[k] >= 0, mixed, 0)
+        spread.xx = Floats(searched.search_radius)
+        spread.yy = Floats(searched.search_radius)
+        lit_taps, _hidden, _moving = compare_nearest_taps(views, light_map, receivers, spread, searched.search_taps)
+        count = float(searched.search_taps.shape[0])
+        undecided = int(0)
+        for k in range(LANES):
+            mixed = wp.where(lit_taps[k] > 0.0, wp.where(lit_taps[k] < count, 1, 0), 0)
+            open[k] = float(mixed)
+            found[k] = wp.where(lit_taps[k] > 0.0, 1.0, 0.0)
+            undecided += wp.where(layers[k] >= 0, mixed, 0)
         lit = found
         if undecided > 0 or searched.leave_out == 0:
             spread.xx = Floats(searched.radius)
@@ -174,14 +176,23 @@ def filter_undecided_lanes(
                 left_out += wp.where(layers[k] >= 0, 1, 0)
         visible = keep_without_receiver(receivers, lit)
     left_out_out[y, column] = left_out
-    for k in range(wp.min(LANES, visibility_out.shape[1] - x0)):
-        visibility_out[y, x0 + k] = visible[k]
+    store_run(visible, x0, y, visibility_out)
+
+
+FILTER_UNDECIDED = Twin(
+    filter_undecided,
+    filter_undecided_lanes,
+    inputs=in_lane_views,
+    tolerance=1e-5,
+    flips=1e-3,
+    compared=lambda left_out, visibility: [visibility],
+)
 
 
 def filter_after_search(
-    frame: Session,
+    work: Workspace,
     gbuffer: GBuffer,
-    light_map: LightMap,
+    light_map: HostMap,
     bias: Bias,
     searched: SearchedFilter,
     visibility_out: wp.array,
@@ -189,21 +200,17 @@ def filter_after_search(
     """Fills ``visibility_out``; records how many pixels were not filtered (of a run on the CPU: none or all).
 
     Args:
-        frame: The session.
+        work: Of the frame.
         gbuffer: The receivers, (H, W).
         light_map: The map.
         bias: Of its comparisons.
         searched: Of ``searched_filter``; its ``leave_out`` is set here.
         visibility_out: float32 (H, W), in [0, 1].
     """
-    height, width = visibility_out.shape
-    searches = len(searched.search_taps) > 0
-    searched.leave_out = int(searches and frame.may_leave_out(*SETTLED))
-    lanes = uses_lanes(frame.device)
-    cells = (height, runs_per_row(width) if lanes else width)
-    left_out = frame.buffer("unfiltered pixels", cells, wp.int32)
-    receivers = lane_views(gbuffer, light_map) if lanes else gbuffer
-    kernel = filter_undecided_lanes if lanes else filter_undecided
-    frame.launch(kernel, cells, [receivers, light_map, bias, searched], [left_out, visibility_out])
+    searched.leave_out = int(work.may_leave_out(Searched.SETTLED))
+    # a run counts in the first columns; those behind them stay 0
+    left_out = work.buffer("unfiltered pixels", visibility_out.shape, wp.int32)
+    inputs = [gbuffer, light_map.map, bias, searched]
+    work.launch(FILTER_UNDECIDED, visibility_out.shape, inputs, [left_out, visibility_out])
     if searched.leave_out:
-        frame.count_later(*SETTLED, lambda: int(left_out.numpy().sum()))
+        work.count_later(Searched.SETTLED, lambda: int(left_out.numpy().sum()))

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
-from wkernels.light_maps.light_map import LightMap
+from wkernels.light_maps.host_map import HostMap
 from wkernels.projections.clipping import frustum_planes
 from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
 from wkernels.scene.geometry import RECEIVES, Bounds
 from wkernels.scene.views import HostView
+from wkernels.workspace.left_out import Omission
+from wkernels.workspace.workspace import Workspace
 
-if TYPE_CHECKING:
-    from wkernels.frame.session import Session
 
-UNDRAWN = "drawing of the light depth map", "no caster lies in the light's view"
-UNCOMPARED = "comparisons with the light depth map", "no caster lies in the light's view"
+class EmptyMaps(Omission):
+    """What a map without casters saves."""
+
+    UNDRAWN = "drawing of the light depth map", "no caster lies in the light's view"
+    UNCOMPARED = "comparisons with the light depth map", "no caster lies in the light's view"
+
+
 SLACK = 1e-5  # share of a box's distance: some hundred float32 roundings
 
 
@@ -47,17 +51,17 @@ def may_see(views: Sequence[HostView], casters: Bounds) -> bool:
     return False
 
 
-def nothing_hides(frame: Session, gbuffer: GBuffer, light_map: LightMap, visibility_out: wp.array) -> bool:
+def nothing_hides(work: Workspace, gbuffer: GBuffer, light_map: HostMap, visibility_out: wp.array) -> bool:
     """Fills ``visibility_out`` and returns True where nothing was drawn into the map (and skips are on).
 
     Args:
-        frame: The session that the map is of.
+        work: Of the session that the map is of.
         gbuffer: The receivers, (H, W).
         light_map: The map.
         visibility_out: float32 (H, W); 1, or 0 where a surface is turned away from the light.
     """
-    if not frame.map_is_empty(light_map) or not frame.leave_out(*UNCOMPARED):
+    if not light_map.empty or not work.leave_out(EmptyMaps.UNCOMPARED):
         return False
-    with frame.timed("surfaces turned away"):
-        frame.launch(light_front, visibility_out.shape, [gbuffer, light_map.light_ws], [visibility_out])
+    with work.timed("surfaces turned away"):
+        work.launch(light_front, visibility_out.shape, [gbuffer, light_map.map.light_ws], [visibility_out])
     return True

@@ -8,20 +8,20 @@ row is reduced on its own and then the column of results, whatever the size.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, runs_of, uses_lanes
+from wkernels.device.lanes import LANES, Floats, runs_of
+from wkernels.device.twin import Twin, cell_by_cell
 from wkernels.projections.clipping import frustum_planes
 from wkernels.raster.gbuffer import PADDING, GBuffer
 from wkernels.scene.geometry import Bounds
 from wkernels.scene.views import HostView
-
-if TYPE_CHECKING:
-    from wkernels.frame.session import Session
+from wkernels.workspace.left_out import Omission
+from wkernels.workspace.workspace import Workspace
 
 NEAR_PLANES = ("user", "auto", "auto_previous")
 LEAST_DEPTH = "least depth"  # name of the pass
@@ -60,20 +60,27 @@ def find_least(first: int, values: wp.array(dtype=float), least_out: wp.array(dt
     least_out[first + wp.tid()] = least
 
 
-def least_depth(frame: Session, gbuffer: GBuffer) -> float:
-    """Least linear eye depth of a G-buffer, scene units; +inf where nothing is seen. NaN is ignored.
+FIND_ROW_DEPTHS = Twin(
+    find_row_depths,
+    find_row_depths_lanes,
+    inputs=lambda depth: [runs_of(depth, Floats, PADDING), depth.shape[1]],
+    grid=cell_by_cell,
+    fits=lambda depth, least: depth.shape[1] >= LANES,
+)
 
-    Args:
-        frame: The session, whose buffers and threads are used.
-        gbuffer: Any that it has filled.
-    """
-    height, width = gbuffer.depth.shape
-    rows, least = frame.buffer("row depths", (height,), wp.float32), frame.buffer("least depth", (1,), wp.float32)
-    if uses_lanes(frame.device) and width >= LANES:
-        frame.launch(find_row_depths_lanes, height, [runs_of(gbuffer.depth, Floats, PADDING), width], [rows])
-    else:
-        frame.launch(find_row_depths, height, [gbuffer.depth], [rows])
-    frame.launch(find_least, 1, [rows], [least])
+
+class LeastDepth(Omission):
+    """What saves the search for the nearest thing in sight."""
+
+    CLIPPED = LEAST_DEPTH, "clipping the scene's box to the view gives the near plane already"
+
+
+def least_depth(work: Workspace, gbuffer: GBuffer) -> float:
+    """Least linear eye depth of a G-buffer, scene units; +inf where nothing is seen. NaN is ignored."""
+    height = gbuffer.depth.shape[0]
+    rows, least = work.buffer("row depths", (height,), wp.float32), work.buffer("least depth", (1,), wp.float32)
+    work.launch(FIND_ROW_DEPTHS, height, [gbuffer.depth], [rows])
+    work.launch(find_least, 1, [rows], [least])
     return float(least.numpy()[0])
 
 
@@ -83,39 +90,39 @@ class NearPlane:
     Args:
         rule: ``user``: the camera's own; ``auto``: no nearer than what is seen; ``auto_previous``: no nearer than what
             the last committed frame saw, which needs no pass before the map but clips what has come nearer since.
+        work: Of the session.
+        seen: What the eye sees: the G-buffer that is read where a rule needs one.
     """
 
-    def __init__(self, rule: str) -> None:
+    def __init__(self, rule: str, work: Workspace, seen: Callable[[], GBuffer]) -> None:
         self.rule = rule
         self.used: HostView | None = None
+        self._work, self._seen = work, seen
         self._current: float | None = None
         self._previous: float | None = None
 
-    def eye(self, frame: Session, receivers: Bounds) -> HostView:
-        """The eye's view of the frame, its near plane raised up to the far plane at most.
+    def raised(self, eye: HostView, receivers: Bounds, stamp: Hashable) -> HostView:
+        """The eye's view with its near plane raised, up to the far plane at most.
 
         Args:
-            frame: The session; it is asked for its G-buffer with ``auto``.
+            eye: The eye's view of the frame.
             receivers: Boxes of everything that light maps are to cover.
+            stamp: What the G-buffer depends on besides the view, comparable.
         """
-        eye = frame.eye()
         least = None
         if self.rule == "auto_previous":
             least = self._previous
-        elif self.rule == "auto" and not (
-            _clip_says_all(eye, receivers)
-            and frame.leave_out(LEAST_DEPTH, "clipping the scene's box to the view gives the near plane already")
-        ):
-            least = self._least_depth(frame)
+        elif self.rule == "auto" and not (_clip_says_all(eye, receivers) and self._work.leave_out(LeastDepth.CLIPPED)):
+            least = self._least_depth(eye, stamp)
         if least is not None:
             eye = replace(eye, near=float(min(max(eye.near, least), eye.far)))
         self.used = eye
         return eye
 
-    def look_back(self, frame: Session) -> None:
+    def look_back(self, eye: HostView, stamp: Hashable) -> None:
         """Notes the depth of a frame that has been rendered, for the next one."""
         if self.rule == "auto_previous":
-            self._current = self._least_depth(frame)
+            self._current = self._least_depth(eye, stamp)
 
     def advance(self) -> None:
         """Commits the frame."""
@@ -125,12 +132,11 @@ class NearPlane:
         """Forgets earlier frames."""
         self._current = self._previous = None
 
-    def _least_depth(self, frame: Session) -> float:
-        gbuffer = frame.widest_gbuffer()
-        eye = frame.eye()
-        inputs = (frame.geometry.version, eye.ws_to_ss.tobytes(), eye.near, eye.far)
+    def _least_depth(self, eye: HostView, stamp: Hashable) -> float:
+        gbuffer = self._seen()
+        inputs = (stamp, eye.ws_to_ss.tobytes(), eye.near, eye.far)
         key = (LEAST_DEPTH, gbuffer.depth.shape)
-        least: float = frame.product(LEAST_DEPTH, key, inputs, lambda old: least_depth(frame, gbuffer))
+        least: float = self._work.product(LEAST_DEPTH, key, inputs, lambda old: least_depth(self._work, gbuffer))
         return least
 
 

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import warp as wp
 
+from wkernels.light_maps.host_map import HostMap, LightLook
 from wkernels.projections.light_views import perspective_aliasing
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.scene.geometry import CASTS, RECEIVES
-
-if TYPE_CHECKING:
-    from wkernels.frame.session import Session
+from wkernels.scene.views import HostView
+from wkernels.workspace.left_out import Omission, Reasoned
 
 G_BUFFER, SHADING = "g-buffer", "shading"
-TURNED_AWAY = "comparisons of pixels with the light depth map", "their surface is turned away from the light"
+
+
+class TurnedAway(Omission):
+    """What needs no map, as its own surface hides the light."""
+
+    PIXELS = "comparisons of pixels with the light depth map", "their surface is turned away from the light"
 
 
 @dataclass
@@ -63,64 +68,81 @@ def check_image(what: str, image: Any, shape: tuple[int, ...]) -> None:
     raise ValueError(f"{what} {found}, not float32 of a G-buffer's size {shape}")
 
 
+@dataclass
+class Rendered:
+    """A frame on the device.
+
+    Attributes:
+        gbuffer: The receivers, of the same size as the images.
+        visibility: float32, what the technique returned.
+        standard_error: float32, or None.
+        color: vec3, shaded.
+        look: Where the technique looked from the light; None if it read no map.
+        eye: The view that the light's views were made for.
+    """
+
+    gbuffer: GBuffer
+    visibility: wp.array
+    standard_error: wp.array | None
+    color: wp.array
+    look: LightLook | None
+    eye: HostView
+
+
 def read_back(
-    frame: Session, gbuffer: GBuffer, visibility: wp.array, color: wp.array, spent: dict[str, float]
+    frame: Rendered,
+    size: tuple[int, int],
+    origin_ws: np.ndarray,
+    spent: dict[str, float],
+    left_out: dict[Reasoned, int],
 ) -> FrameResult:
     """Copies a frame's results to the host, without the margin of an overscanned G-buffer.
 
     Args:
-        frame: The session that rendered it.
-        gbuffer: The receivers, of the same size as the arrays.
-        visibility: float32, what the technique returned.
-        color: vec3, shaded.
+        frame: What was rendered.
+        size: Height and width of the frame in pixels.
+        origin_ws: Of the rebased world, (3,), scene units.
         spent: Milliseconds per pass.
+        left_out: How often what was left out for which reason.
     """
-    rows = slice((visibility.shape[0] - frame.height) // 2, (visibility.shape[0] + frame.height) // 2)
-    cols = slice((visibility.shape[1] - frame.width) // 2, (visibility.shape[1] + frame.width) // 2)
-    flags = gbuffer.flags.numpy()[rows, cols]
-    seen = gbuffer.mesh.numpy()[rows, cols] >= 0
-    lit = visibility.numpy()[rows, cols].copy()
+    held = frame.visibility.shape
+    rows, cols = (slice((h - s) // 2, (h + s) // 2) for h, s in zip(held, size, strict=True))
+    flags = frame.gbuffer.flags.numpy()[rows, cols]
+    seen = frame.gbuffer.mesh.numpy()[rows, cols] >= 0
+    lit = frame.visibility.numpy()[rows, cols].copy()
     receives = (flags & RECEIVES) != 0
     not_finite = int((receives & ~np.isfinite(lit)).sum())
     lit[~receives] = np.nan
-    position = gbuffer.position_ws.numpy()[rows, cols] + frame.geometry.origin_ws
+    position = frame.gbuffer.position_ws.numpy()[rows, cols] + origin_ws
     position[~seen] = np.nan
     error = None
     if frame.standard_error is not None:
         error = frame.standard_error.numpy()[rows, cols].copy()
         error[~receives] = np.nan
     m_x = m_z = float("nan")
-    if frame.light_views is not None:
-        views, sample = frame.light_views
-        _, all_x, all_z = perspective_aliasing(views, sample, frame.near_plane.used or frame.eye())
+    if frame.look is not None:
+        _, all_x, all_z = perspective_aliasing(list(frame.look.views), frame.look.light_ws, frame.eye)
         m_x, m_z = (float(np.nanmax(m)) if np.isfinite(m).any() else float("nan") for m in (all_x, all_z))
     total = sum(spent.values())
     return FrameResult(
         visibility=lit,
-        color=color.numpy()[rows, cols].copy(),
+        color=frame.color.numpy()[rows, cols].copy(),
         standard_error=error,
         world_position=position.astype(np.float32),
         passes=list(spent.items()),
         frame_ms=total,
         shadow_ms=total - spent.get(G_BUFFER, 0.0) - spent.get(SHADING, 0.0),
-        left_out=[(what, reason, count) for (what, reason), count in frame.left_out.items()],
+        left_out=[(what, reason, count) for (what, reason), count in left_out.items()],
         m_x_max=m_x,
         m_z_max=m_z,
         not_finite=not_finite,
     )
 
 
-def tell_turned_away(frame: Session, gbuffer: GBuffer) -> None:
-    """Has the receivers counted that are not compared with the frame's map, as they are dark by themselves."""
-    light_map = frame.read_map
-    if light_map is None:
-        return
-
-    def count() -> int:
-        light = np.asarray(light_map.light_ws, np.float32)
-        to_light = light[:3] - gbuffer.position_ws.numpy() * light[3]
-        both = RECEIVES | CASTS
-        turned = np.einsum("hwi,hwi->hw", gbuffer.normal_ws.numpy(), to_light) <= 0.0
-        return int((turned & ((gbuffer.flags.numpy() & both) == both)).sum())
-
-    frame.tell(*TURNED_AWAY, count)
+def count_turned_away(gbuffer: GBuffer, light_map: HostMap) -> int:
+    """Receivers that are not compared with a map, as their own surface hides the light."""
+    light = np.asarray(light_map.map.light_ws, np.float32)
+    to_light = light[:3] - gbuffer.position_ws.numpy() * light[3]
+    both = RECEIVES | CASTS
+    turned = np.einsum("hwi,hwi->hw", gbuffer.normal_ws.numpy(), to_light) <= 0.0
+    return int((turned & ((gbuffer.flags.numpy() & both) == both)).sum())

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, Ints, Vectors, flat_floats, runs_of, runs_per_row, uses_lanes
+from wkernels.device.lanes import LANES, Floats, Ints, Vectors, flat_floats, runs_of
 from wkernels.device.launch import launch
+from wkernels.device.twin import Twin
 from wkernels.raster.gbuffer import PADDING, GBuffer, to_light
 from wkernels.scene.lights import Light
 
@@ -88,6 +89,20 @@ def shade_diffuse_lanes(
         color_out[y, x0 + k] = wp.vec3(red[k], green[k], blue[k])
 
 
+def _in_lanes(gbuffer: GBuffer, mesh_diffuse: wp.array, *others: object) -> list:
+    images = [runs_of(image, Vectors, 3 * PADDING) for image in (gbuffer.position_ws, gbuffer.normal_ws)]
+    return [*images, runs_of(gbuffer.mesh, Ints, PADDING), flat_floats(mesh_diffuse), *others]
+
+
+SHADE = Twin(
+    shade_diffuse,
+    shade_diffuse_lanes,
+    inputs=_in_lanes,
+    fits=lambda gbuffer, mesh_diffuse, *others: mesh_diffuse.size > 0,
+    tolerance=2e-6,
+)
+
+
 def shade(
     gbuffer: GBuffer,
     mesh_diffuse: wp.array,
@@ -100,13 +115,5 @@ def shade(
     """Fills ``color_out`` (H, W) with linear RGB; the light's colour is scaled to a brightest channel of 1."""
     radiance = np.asarray(light.radiance, dtype=float)
     tint = radiance / max(float(radiance.max()), 1e-12)
-    inputs = [wp.vec4(*light.centre), wp.vec3(*tint), AMBIENT, visibility]
-    height, width = gbuffer.depth.shape
-    if uses_lanes(device) and mesh_diffuse.size:
-        images = [runs_of(image, Vectors, 3 * PADDING) for image in (gbuffer.position_ws, gbuffer.normal_ws)]
-        images += [runs_of(gbuffer.mesh, Ints, PADDING), flat_floats(mesh_diffuse)]
-        runs = (height, runs_per_row(width))
-        launch(shade_diffuse_lanes, runs, [*images, *inputs], [color_out], device=device, threads=threads)
-    else:
-        inputs = [gbuffer, mesh_diffuse, *inputs]
-        launch(shade_diffuse, (height, width), inputs, [color_out], device=device, threads=threads)
+    inputs = [gbuffer, mesh_diffuse, wp.vec4(*light.centre), wp.vec3(*tint), AMBIENT, visibility]
+    launch(SHADE, gbuffer.depth.shape, inputs, [color_out], device=device, threads=threads)

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, runs_of, uses_lanes
+from wkernels.device.lanes import LANES, Floats, runs_of
 from wkernels.device.launch import launch
+from wkernels.device.twin import Twin
 
 
 @wp.kernel
@@ -33,6 +34,15 @@ def clamp_depth_lanes(first: int, near: float, depth_out: wp.array(dtype=Floats)
     depth_out[at] = depth
 
 
+CLAMP_DEPTH = Twin(
+    clamp_depth,
+    clamp_depth_lanes,
+    outputs=lambda depth: [runs_of(depth, Floats)],
+    grid=lambda grid: (grid[0] * grid[1] // int(LANES),),
+    fits=lambda near, depth: depth.is_contiguous and depth.size % int(LANES) == 0,
+)
+
+
 def clamp_casters(depth: wp.array, near: float, threads: int | None = None) -> None:
     """Moves everything in a depth map that lies before ``near`` onto it.
 
@@ -41,9 +51,4 @@ def clamp_casters(depth: wp.array, near: float, threads: int | None = None) -> N
         near: Linear depth, scene units, above 0.
         threads: CPU threads; None for all.
     """
-    device = str(depth.device)
-    if uses_lanes(device) and depth.is_contiguous and depth.size % int(LANES) == 0:
-        runs = depth.size // int(LANES)
-        launch(clamp_depth_lanes, runs, [near], [runs_of(depth, Floats)], device=device, threads=threads)
-    else:
-        launch(clamp_depth, depth.shape, [near], [depth], device=device, threads=threads)
+    launch(CLAMP_DEPTH, depth.shape, [near], [depth], device=str(depth.device), threads=threads)

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, Ints, runs_of, runs_per_row, uses_lanes
+from wkernels.device.lanes import LANES, Floats, Ints, runs_of
 from wkernels.device.launch import launch
+from wkernels.device.twin import Twin
 from wkernels.light_maps.depth_clamp import clamp_casters
 from wkernels.light_maps.light_map import BY_DEPTH, BY_MARGIN, FIRST_INSIDE, LightMap
 from wkernels.light_maps.storage import PLAIN_MAP, MapOptions, allocate, lay_out, layer_images
@@ -23,6 +24,7 @@ def tag_moving(
     triangle: wp.array2d(dtype=int),
     triangle_mesh: wp.array(dtype=int),
     mesh_flags: wp.array(dtype=int),
+    moving: wp.array(dtype=wp.vec2i),  # of use in lanes
     depth_out: wp.array2d(dtype=float),
 ):
     """Negates the depth of texels whose caster moves (Scherzer et al. 2009, section 3.4)."""
@@ -57,6 +59,20 @@ def tag_moving_lanes(
             inside = wp.where(triangles[k] >= begin, wp.where(triangles[k] < end, 1, 0), 0)
             depth[k] = wp.where(inside != 0, wp.where(k >= own, -depth[k], depth[k]), depth[k])
     depth_out[at] = depth
+
+
+TAG_MOVING = Twin(
+    tag_moving,
+    tag_moving_lanes,
+    inputs=lambda triangle, mesh, flags, moving: [
+        runs_of(triangle, Ints),
+        moving,
+        triangle.shape[1],
+        triangle.strides[0] // 4,
+    ],
+    outputs=lambda depth: [runs_of(depth, Floats)],
+    fits=lambda triangle, *others: triangle.shape[1] >= LANES,
+)
 
 
 def draw_light_map(
@@ -123,7 +139,9 @@ def draw_light_map(
 
     def finish(layer: int) -> None:
         if owner is not None:
-            _tag_moving(images[layer], geometry, owner, rasteriser)
+            inputs = [owner, geometry.triangle_mesh, geometry.mesh_flags, geometry.moving_triangles]
+            shape, threads = images[layer].shape, rasteriser.threads
+            launch(TAG_MOVING, shape, inputs, [images[layer]], device=device, threads=threads)
         if clamps[layer] > 0.0:
             clamp_casters(images[layer], clamps[layer], rasteriser.threads)
 
@@ -145,18 +163,6 @@ def draw_light_map(
         drawn=finish,
     )
     return out, beside
-
-
-def _tag_moving(depth: wp.array, geometry: Geometry, triangle: wp.array, rasteriser: Rasteriser) -> None:
-    device, threads = rasteriser.device, rasteriser.threads
-    height, width = depth.shape
-    if not uses_lanes(device) or width < LANES:
-        inputs = [triangle, geometry.triangle_mesh, geometry.mesh_flags]
-        launch(tag_moving, depth.shape, inputs, [depth], device=device, threads=threads)
-        return
-    inputs = [runs_of(triangle, Ints), geometry.moving_triangles, width, depth.strides[0] // 4]
-    runs = (height, runs_per_row(width))
-    launch(tag_moving_lanes, runs, inputs, [runs_of(depth, Floats)], device=device, threads=threads)
 
 
 def _choose_layers(out: LightMap, views: Sequence[HostView], device: str) -> None:

@@ -59,6 +59,11 @@ def lane_views(gbuffer: GBuffer, light_map: LightMap | None = None) -> LaneViews
     return out
 
 
+def in_lane_views(gbuffer: GBuffer, light_map: LightMap, *others: object) -> list:
+    """The inputs of a lane kernel whose twin's begin with a G-buffer and a light map (``Twin.inputs``)."""
+    return [lane_views(gbuffer, light_map), light_map, *others]
+
+
 @wp.func
 def is_read(layers: Ints, layer: int):
     """Whether any lane is on a layer; neighbours mostly share theirs."""

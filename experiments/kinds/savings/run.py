@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from experiments.kinds.savings.config import Savings
     from experiments.kinds.walkthrough.run import Progress
     from wkernels.frame.session import Session
-    from wkernels.workspace.left_out import Omission
+    from wkernels.workspace.left_out import Reasoned
 
 COLUMNS = (
     "scene", "technique", "label", "what", "ms_without", "ms_with", "saving_ms", "ratio", "image_difference",
@@ -46,7 +46,7 @@ class _Side:
     technique: Any
     ms: list[float] = field(default_factory=list)
     images: list[np.ndarray] = field(default_factory=list)
-    left_out: list[dict[Omission, int]] = field(default_factory=list)
+    left_out: list[dict[Reasoned, int]] = field(default_factory=list)
     _timed: list[float] = field(default_factory=list)
 
     def render(self, frame: int) -> None:
@@ -74,7 +74,7 @@ def measure(engine: WarpEngine, run: TechniqueRun, walk: Sequence[int], repeats:
     """
     ours, without = _Side(*engine.open(run)), _Side(*engine.open(run, skips=False))
     _walk([ours, without], walk, 1)  # warms up, and finds out what is left out
-    found: dict[Omission, int] = {}
+    found: dict[Reasoned, int] = {}
     for told, anyway in zip(ours.left_out, without.left_out, strict=True):
         for omission, count in told.items():
             if omission not in anyway and omission not in ours.session.inherent:

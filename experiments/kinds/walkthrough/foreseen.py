@@ -9,20 +9,20 @@ import numpy as np
 
 from algorithms.projections.composition import compose
 from algorithms.technique import MapParams
-from wkernels.frame.empty_maps import UNCOMPARED, UNDRAWN, may_see
-from wkernels.frame.map_shelf import BESIDE
-from wkernels.frame.result import TURNED_AWAY
+from wkernels.frame.empty_maps import EmptyMaps, may_see
+from wkernels.frame.map_keeper import BesideViews
+from wkernels.frame.result import TurnedAway
 from wkernels.projections.light_views import scene_views
 from wkernels.scene.geometry import Bounds
 from wkernels.scene.views import HostView, eye_view
-from wkernels.temporal.shadow_buffer.mover_shadow import NO_MOVERS
-from wkernels.temporal.shadow_buffer.step import SETTLED
+from wkernels.temporal.shadow_buffer.mover_shadow import MoverMap
+from wkernels.temporal.shadow_buffer.step import StepSkip
 
 if TYPE_CHECKING:
     from experiments.config.techniques import TechniqueRun
     from experiments.kinds.walkthrough.config import Experiment
     from wkernels.scene.model import Mesh, Scene
-    from wkernels.workspace.left_out import Omission
+    from wkernels.workspace.left_out import Omission, Reasoned
 
 FRAMES_LOOKED_AT = 30  # of a walkthrough, evenly spaced, for what depends on where the eye is
 
@@ -33,13 +33,13 @@ def skip_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, type]
     if not casters:
         return ["depth maps, blocker searches and rays: no mesh casts, everything is lit"]
     lines = [*_kept_lines(experiment, scene, plugins), *_fallback_lines(experiment, scene)]
-    found: dict[Omission, list[str]] = {}
+    found: dict[Reasoned, list[str]] = {}
     for run in experiment.runs:
         for omission in own_omissions(scene, experiment.light, plugins[run.name], run.params):
             found.setdefault(omission, []).append(run.label)
     readers = [run for run in experiment.runs if reads_map(plugins[run.name])]
     if readers:
-        found[TURNED_AWAY] = [run.label for run in readers]
+        found[TurnedAway.PIXELS.pair] = [run.label for run in readers]
     for run in readers:
         for omission, frames in _of_views(experiment, scene, run).items():
             found.setdefault((omission[0], f"{omission[1]} ({frames})"), []).append(run.label)
@@ -57,17 +57,20 @@ def skip_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, type]
     return lines
 
 
-def own_omissions(scene: Scene, light: int, technique: Any, params: Mapping[str, Any]) -> Iterator[Omission]:
+def own_omissions(scene: Scene, light: int, technique: Any, params: Mapping[str, Any]) -> Iterator[Reasoned]:
     """What a technique declares that it may leave out, without what scene or parameters rule out."""
     ruled_out = {
         "the light has no area": scene.lights[light].has_area,
         "its kernel has one tap": params.get("taps") != 1,
         "no caster moves": any(mesh.moving and mesh.casts for mesh in scene.meshes),
     }
-    unused = {NO_MOVERS: params.get("mover_map", "none") == "none", SETTLED: params.get("stop_error", 0.0) == 0.0}
-    for what, why in getattr(technique, "may_leave_out", ()):
-        if not ruled_out.get(why, False) and not unused.get((what, why), False):
-            yield what, why
+    unused = {
+        MoverMap.NO_MOVERS: params.get("mover_map", "none") == "none",
+        StepSkip.SETTLED: params.get("stop_error", 0.0) == 0.0,
+    }
+    for omission in getattr(technique, "may_leave_out", ()):
+        if not ruled_out.get(omission.pair[1], False) and not unused.get(omission, False):
+            yield omission.pair
 
 
 def reads_map(technique: Any) -> bool:
@@ -148,7 +151,7 @@ def _eye(experiment: Experiment, scene: Scene, frame: int) -> HostView:
     return eye_view(scene.camera(frame), experiment.image.width, experiment.image.height, np.zeros(3))
 
 
-def _of_views(experiment: Experiment, scene: Scene, run: TechniqueRun) -> dict[Omission, str]:
+def _of_views(experiment: Experiment, scene: Scene, run: TechniqueRun) -> dict[Reasoned, str]:
     """What the light's views say of a label's maps, and on how many frames: from boxes, from the light's centre."""
     receivers, casters = _boxes(experiment, scene)
     if receivers.empty or casters.empty:
@@ -156,16 +159,18 @@ def _of_views(experiment: Experiment, scene: Scene, run: TechniqueRun) -> dict[O
     views: Any = compose(run.projection) if run.projection else None
     changes = follows_eye(run) or light_moves(experiment, scene)
     frames = _looked_at(experiment) if changes else experiment.frames[:1]
-    counts: dict[Omission, int] = {}
+    counts: dict[Reasoned, int] = {}
     for frame in frames:
         light_ws = scene.light(experiment.light, frame).centre
         if views is None:
             made = scene_views(light_ws, receivers, casters, 64)
         else:
             made = views(light_ws, receivers, casters, 64, _eye(experiment, scene, frame))
-        told = [UNDRAWN, UNCOMPARED] if not may_see(made, casters) else [BESIDE] if len(made) > 1 else []
+        told: list[Omission] = [BesideViews.BLOCKS] if len(made) > 1 else []
+        if not may_see(made, casters):
+            told = [EmptyMaps.UNDRAWN, EmptyMaps.UNCOMPARED]
         for omission in told:
-            counts[omission] = counts.get(omission, 0) + 1
+            counts[omission.pair] = counts.get(omission.pair, 0) + 1
     if not changes:
         return dict.fromkeys(counts, "on all frames")
     return {omission: f"on {n} of {len(frames)} frames looked at" for omission, n in counts.items()}
@@ -178,7 +183,7 @@ def _fallback_lines(experiment: Experiment, scene: Scene) -> list[str]:
     lines: list[str] = []
     for run in experiment.runs:
         views: Any = compose(run.projection) if follows_eye(run) and not receivers.empty else None
-        counts: dict[Omission, int] = {}
+        counts: dict[Reasoned, int] = {}
         for frame in frames if views is not None else ():
             views(scene.light(experiment.light, frame).centre, receivers, casters, 64, _eye(experiment, scene, frame))
             for told in set(views.left_out):

@@ -52,8 +52,8 @@ def test_clamped_casters_still_cast(warp: str, partition: dict[str, Any], lamp: 
     plain, _ = render(scene, device, settings)
     tight, frame = render(scene, device, {**settings, "depth": "tight"})
     np.testing.assert_array_equal(plain, tight)
-    light_map = frame.light_map(256)
-    clamps = [view.clamped_before for view in frame.light_views[0]]  # type: ignore[index, union-attr]
+    light_map = frame.light_map(256).map
+    clamps = [view.clamped_before for view in frame.shown.views]  # type: ignore[index, union-attr]
     for layer, clamp in enumerate(clamps):
         assert clamp > 0.0 and light_map.depth.numpy()[layer].min() >= np.float32(clamp)
     assert np.isclose(light_map.depth.numpy(), clamps[0], rtol=1e-6).any(), "the slab lies on the plane"

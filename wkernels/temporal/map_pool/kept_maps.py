@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wkernels.frame.map_shelf import BESIDE, MAP_BUDGET_BYTES
+from wkernels.frame.map_keeper import MAP_BUDGET_BYTES, BesideViews
 from wkernels.frame.session import Session
+from wkernels.light_maps.host_map import LightLook
 from wkernels.scene.geometry import Bounds
 from wkernels.scene.views import HostView
 from wkernels.temporal.map_pool.drawing import PoolPainter
@@ -186,9 +187,8 @@ class KeptMaps:
                 chosen = range(layers.start, min(layers.stop, len(views)))
                 beside = self._painter.draw(self.pool, slot, views, light_ws, weight, cull, chosen)
             if beside:
-                frame.leave_out(*BESIDE, beside)
-            if frame.light_views is None:
-                frame.light_views = (views, light_ws)
+                frame.leave_out(BesideViews.BLOCKS, count=beside)
+            frame.looks.append(LightLook(views=tuple(views), light_ws=light_ws, from_centre=False))
         return True
 
 

@@ -32,9 +32,17 @@ from wkernels.temporal.shadow_buffer.record import (
     write_record,
 )
 from wkernels.temporal.shadow_buffer.update import DISOCCLUDE, FULL_WIDTH_ERROR, UpdateSettings
+from wkernels.workspace.left_out import Omission
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec. 709 colours (ITU-R BT.709)
-BLACK_LIGHT = ("light depth map", "the light is black")
+
+
+class Lights(Omission):
+    """What a light saves."""
+
+    BLACK_LIGHT = ("light depth map", "the light is black")
+
+
 GOLDEN = 0.6180339887498949
 
 

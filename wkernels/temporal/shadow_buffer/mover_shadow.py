@@ -39,8 +39,15 @@ from wkernels.light_maps.light_map import Bias, LightMap
 from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.light_maps.receivers import receiver_of_pixel
 from wkernels.raster.gbuffer import GBuffer
+from wkernels.workspace.left_out import Omission
 
-NO_MOVERS = "map of moving casters", "no caster moves"
+
+class MoverMap(Omission):
+    """What a scene without movers saves."""
+
+    NO_MOVERS = "map of moving casters", "no caster moves"
+
+
 OVERLAPS = {"product": 0, "max": 1}
 UNROTATED = wp.constant(wp.mat22(1.0, 0.0, 0.0, 1.0))
 
@@ -180,7 +187,7 @@ def has_own_map(frame: Session, p: MoverParams) -> bool:
     if p.mover_map == "none":
         return False
     moves = frame.geometry.still_triangles < frame.geometry.caster_triangles
-    return moves or not frame.leave_out(*NO_MOVERS)
+    return moves or not frame.leave_out(MoverMap.NO_MOVERS)
 
 
 def mover_regions(frame: Session, light_map: LightMap) -> np.ndarray:
@@ -216,16 +223,16 @@ def add_mover_shadows(
     """
     centre = frame.light.centre
     light_map = frame.light_map(p.resolution, centre, slot="movers", cull=p.cull, casters="moving")
-    footprint = pull_footprint(frame, light_map, "movers")
+    footprint = pull_footprint(frame, light_map)
     with frame.timed("shadows of movers"):
-        regions = wp.array(mover_regions(frame, light_map).astype(np.float32), dtype=wp.vec4, device=frame.device)
+        regions = wp.array(mover_regions(frame, light_map.map).astype(np.float32), dtype=wp.vec4, device=frame.device)
         inputs = [p.device_bias, pull_taps(frame, "poisson", p.mover_taps), regions, OVERLAPS[p.mover_overlap]]
         height, width = visibility_out.shape
         if uses_lanes(frame.device):
-            maps = [lane_views(gbuffer, light_map), light_map, footprint, flat_half_axes(footprint)]
+            maps = [lane_views(gbuffer, light_map.map), light_map.map, footprint, flat_half_axes(footprint)]
             kernel, cells = hide_behind_movers_lanes, (height, runs_per_row(width))
         else:
             unused = frame.buffer("no half-axes", (1,), wp.float32)
-            maps = [gbuffer, light_map, footprint, unused]
+            maps = [gbuffer, light_map.map, footprint, unused]
             kernel, cells = hide_behind_movers, (height, width)
         frame.launch(kernel, cells, [*maps, *inputs], [visibility_out, error_out])

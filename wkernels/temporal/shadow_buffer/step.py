@@ -17,7 +17,8 @@ from wkernels.filters.penumbra import pull_footprint
 from wkernels.filters.penumbra_lanes import flat_half_axes
 from wkernels.frame.history import History
 from wkernels.frame.session import Session
-from wkernels.light_maps.light_map import Bias, LightMap
+from wkernels.light_maps.host_map import HostMap
+from wkernels.light_maps.light_map import Bias
 from wkernels.light_maps.receiver_lanes import lane_views
 from wkernels.raster.gbuffer import PADDING, GBuffer
 from wkernels.sampling.estimators import FLOAT32_LIMIT, UNLIMITED
@@ -26,20 +27,26 @@ from wkernels.scene.lights import Light
 from wkernels.temporal.light_importance import draw_important, learn
 from wkernels.temporal.mesh_motion import pull_mesh_motion
 from wkernels.temporal.shadow_buffer.kept_views import fill_shelf, keep_view, pull_view_shelf
-from wkernels.temporal.shadow_buffer.many_lights import BLACK_LIGHT, JOIN, drawn_light, light_weights
+from wkernels.temporal.shadow_buffer.many_lights import JOIN, Lights, drawn_light, light_weights
 from wkernels.temporal.shadow_buffer.mover_shadow import add_mover_shadows, has_own_map
 from wkernels.temporal.shadow_buffer.own_umbra import pull_light_corners
 from wkernels.temporal.shadow_buffer.record import BILINEAR, LINEAR, NEAREST, TEXEL_TYPES, storage_of
 from wkernels.temporal.shadow_buffer.stillness import count_still_frames
 from wkernels.temporal.shadow_buffer.update import AT_ONCE, DISOCCLUDE, GRADUAL, UPDATE, UpdateSettings
 from wkernels.temporal.shadow_buffer.update_lanes import update_shadow_buffer_lanes
+from wkernels.workspace.left_out import Omission
 
 MOVERS = {"disocclude": DISOCCLUDE, "at_once": AT_ONCE, "gradual": GRADUAL, "ignore": DISOCCLUDE}
 """Treatment of moving casters' shadows by name; to ``ignore`` them no map is tagged."""
 
-UNTAGGED = "tags of moving casters", "no caster moves"
-UNSMOOTHED = "neighbourhoods of pixels", "their error or penumbra is small enough"
-SETTLED = "light sample", "nothing moves and no standard error exceeds stop_error"
+
+class StepSkip(Omission):
+    """What a step saves."""
+
+    UNTAGGED = "tags of moving casters", "no caster moves"
+    UNSMOOTHED = "neighbourhoods of pixels", "their error or penumbra is small enough"
+    SETTLED = "light sample", "nothing moves and no standard error exceeds stop_error"
+
 
 HISTORY = {"bilinear": BILINEAR, "nearest": NEAREST, "linear": LINEAR}
 
@@ -124,7 +131,7 @@ def begin_step(frame: Session, gbuffer: GBuffer, p: StepParams) -> tuple[ShadowS
     if keeps_views(frame, p):
         out.kept = fill_shelf(frame, pull_view_shelf(frame, seen_lights(frame, p)), history)
     out.has_movers = int(
-        not apart and p.movers != "ignore" and (frame.geometry.casters_move or not frame.leave_out(*UNTAGGED))
+        not apart and p.movers != "ignore" and (frame.geometry.casters_move or not frame.leave_out(StepSkip.UNTAGGED))
     )
     out.relative_epsilon, out.texel_steps = out.storage.rounding, HISTORY[p.history]
     out.half_widths, out.effective_share = 0.5, 1.0
@@ -149,7 +156,7 @@ def is_settled(frame: Session, step: ShadowStep, p: StepParams) -> bool:
     if p.stop_error <= 0.0:
         return False
     settled = count_still_frames(frame) >= p.stop_samples and float(step.error.numpy().max()) <= p.stop_error
-    if settled and frame.leave_out(*SETTLED):
+    if settled and frame.leave_out(StepSkip.SETTLED):
         wp.copy(step.history.current, step.history.previous)
         return True
     return False
@@ -162,7 +169,7 @@ def count_unsmoothed(frame: Session, step: ShadowStep) -> None:
         asks = np.abs(step.half_width.numpy()) >= 0.5
         return int(((step.psi_depth.numpy()[..., 1] > 0.0) & ~asks).sum())
 
-    frame.tell(*UNSMOOTHED, count)
+    frame.tell(StepSkip.UNSMOOTHED, count=count)
 
 
 def add_sample(frame: Session, step: ShadowStep, settings: UpdateSettings, p: StepParams) -> None:
@@ -217,7 +224,7 @@ def _update_by_all(
     """The brightest light starts and fetches; the others join."""
     worth = 1.0 / float((weights**2).sum())
     order = [int(i) for i in np.argsort(-weights, kind="stable")]
-    order = [i for i in order if weights[i] > 0.0 or not frame.leave_out(*BLACK_LIGHT)]
+    order = [i for i in order if weights[i] > 0.0 or not frame.leave_out(Lights.BLACK_LIGHT)]
     movers = settings.movers
     settings.start_weight = float(settings.start_weight) * float(weights[order[0]]) * worth
     settings.light_window = float(settings.light_window) * worth
@@ -234,7 +241,7 @@ def _update_by_all(
         light_map, sample_weight = _draw(frame, step, settings, p, index)
         settings.weight = sample_weight * float(weights[index]) * worth
         with frame.timed("shadow buffer"):
-            inputs = [step.gbuffer, light_map, pull_footprint(frame, light_map, index), settings]
+            inputs = [step.gbuffer, light_map.map, pull_footprint(frame, light_map), settings]
             outputs = [step.history.current, step.psi_depth, step.error, step.half_width]
             kernel = JOIN[TEXEL_TYPES[p.buffer]]
             frame.launch(kernel, step.error.shape, [*inputs, int(place == len(order) - 1)], outputs)
@@ -242,7 +249,7 @@ def _update_by_all(
 
 def _draw(
     frame: Session, step: ShadowStep, settings: UpdateSettings, p: StepParams, slot: Hashable
-) -> tuple[LightMap, float]:
+) -> tuple[HostMap, float]:
     """The map of the next point of the light that is asked for, and the point's weight."""
     if p.importance > 0.0:
         importance = draw_important(frame, p.sample_set, p.importance)
@@ -273,13 +280,13 @@ def _update(
     settings.weight = sample_weight * weight
     gbuffer, history, shape = step.gbuffer, step.history, step.error.shape
     with frame.timed("shadow buffer"):
-        footprint = pull_footprint(frame, light_map, slot)
-        maps = [gbuffer, light_map, footprint]
+        footprint = pull_footprint(frame, light_map)
+        maps = [gbuffer, light_map.map, footprint]
         inputs = [settings, history.previous_view or gbuffer.view, history.previous]
         outputs = [history.current, step.psi_depth, step.error, step.half_width]
         in_lanes = p.buffer == "float32" and p.history != "linear"
         if uses_lanes(frame.device) and in_lanes:
-            flat = [lane_views(gbuffer, light_map), runs_of(gbuffer.depth, Floats, PADDING)]
+            flat = [lane_views(gbuffer, light_map.map), runs_of(gbuffer.depth, Floats, PADDING)]
             flat.append(flat_floats(history.previous))
             inputs.insert(0, flat_half_axes(footprint))
             runs = (shape[0], runs_per_row(shape[1]))
@@ -287,7 +294,7 @@ def _update(
         else:
             frame.launch(UPDATE[TEXEL_TYPES[p.buffer]], shape, [*maps, *inputs], outputs)
     if p.importance > 0.0:
-        learn(frame, gbuffer, light_map, settings.bias, step.psi_depth)
+        learn(frame, gbuffer, light_map.map, settings.bias, step.psi_depth)
 
 
 def end_step(frame: Session, step: ShadowStep, p: StepParams, visibility_out: wp.array) -> None:

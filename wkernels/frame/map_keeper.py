@@ -3,30 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
-from wkernels.frame.empty_maps import UNDRAWN, may_see
+from wkernels.frame.empty_maps import EmptyMaps, may_see
 from wkernels.light_maps.drawing import CasterBlocks, draw_light_map, views_stamp
 from wkernels.light_maps.light_map import LightMap
-from wkernels.light_maps.storage import PLAIN_MAP, MapOptions, lay_out
+from wkernels.light_maps.storage import MapOptions, lay_out
 from wkernels.raster import Rasteriser
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.views import HostView
-
-if TYPE_CHECKING:
-    from wkernels.frame.session import Session
+from wkernels.workspace.left_out import Omission
+from wkernels.workspace.workspace import Workspace
 
 MOVING = {"all": None, "still": False, "moving": True}
 """``Geometry.bounds``' argument for each key of ``Geometry.caster_sets``."""
-
-BESIDE = "blocks of casters in light views", "they lie beside the view"
 MAP_BUDGET_BYTES = 512 * 2**20  # maps of many light samples are kept for later frames up to this much memory
 
 
-class MapShelf:
+class BesideViews(Omission):
+    """What drawing passes over."""
+
+    BLOCKS = "blocks of casters in light views", "they lie beside the view"
+
+
+class MapKeeper:
     """Draws and keeps maps.
 
     Args:
@@ -37,52 +39,51 @@ class MapShelf:
     def __init__(self, geometry: Geometry, rasteriser: Rasteriser) -> None:
         self._geometry, self._rasteriser = geometry, rasteriser
         self._blocks = CasterBlocks(geometry, rasteriser.device, rasteriser.threads)
-        self._kept: dict[Hashable, int] = {}
-        self._bytes = 0
-        self._empty: dict[Hashable, LightMap] = {}
-
-    def is_empty(self, light_map: LightMap) -> bool:
-        """Whether a map is one that nothing was drawn into, because no caster lies in its views."""
-        return any(light_map is held for held in self._empty.values())
+        self._kept_bytes: dict[Hashable, int] = {}
+        self._total_bytes = 0  # of them: summed anew for each map, 10 000 maps would take minutes
+        self._empty: dict[Hashable, bool] = {}
 
     def clear(self) -> None:
         """Forgets all maps."""
-        self._kept.clear()
+        self._kept_bytes.clear()
+        self._total_bytes = 0
         self._empty.clear()
-        self._bytes = 0
 
     def pull(
         self,
-        frame: Session,
+        work: Workspace,
         views: Sequence[HostView],
         light_ws: np.ndarray,
         slot: Hashable,
+        options: MapOptions,
+        *,
         cull: int,
         tagged: bool,
         casters: str,
-    ) -> LightMap:
-        """The map of these views; see ``Session.light_map``. Beyond the budget all new slots share one map."""
+    ) -> tuple[LightMap, bool]:
+        """The map of these views, and whether it is empty; see ``Session.light_map``.
+
+        Beyond the budget all new slots share one map.
+        """
         resolution = views[0].width
-        options: MapOptions = getattr(frame.projection, "map_options", PLAIN_MAP)
         layout = lay_out(options.storage, len(views), resolution)
         key: Hashable = ("map", slot, resolution, cull, tagged, casters)
-        if key not in self._kept and self._bytes + 4 * layout.texels > MAP_BUDGET_BYTES:
+        if key not in self._kept_bytes and self._total_bytes + 4 * layout.texels > MAP_BUDGET_BYTES:
             key = ("map", "shared", resolution, cull, tagged, casters)
-        triangle = frame.buffer("map triangles", (resolution, layout.pitch), wp.int32) if tagged else None
+        triangle = work.buffer("map triangles", (resolution, layout.pitch), wp.int32) if tagged else None
 
         def build(old: LightMap | None) -> LightMap:
-            way = (self._rasteriser, cull, triangle, options, self._blocks, not frame.may_leave_out(*BESIDE))
+            way = (self._rasteriser, cull, triangle, options, self._blocks, not work.may_leave_out(BesideViews.BLOCKS))
             box = self._geometry.bounds(casters=True, moving=MOVING[casters])
-            draws = may_see(views, box) or not frame.leave_out(*UNDRAWN, len(views))
+            draws = may_see(views, box) or not work.leave_out(EmptyMaps.UNDRAWN, count=len(views))
             made, beside = draw_light_map(old, self._geometry, views, light_ws, *way, draws=draws, casters=casters)
-            self._empty.pop(key, None)
-            if not draws:
-                self._empty[key] = made
-            self._bytes += 4 * made.depth.size - self._kept.get(key, 0)
-            self._kept[key] = 4 * made.depth.size
+            self._empty[key] = not draws
+            self._total_bytes += 4 * made.depth.size - self._kept_bytes.get(key, 0)
+            self._kept_bytes[key] = 4 * made.depth.size
             if beside:
-                frame.leave_out(*BESIDE, beside)
+                work.leave_out(BesideViews.BLOCKS, count=beside)
             return made
 
-        out: LightMap = frame.product("light depth map", key, (self._geometry.version, views_stamp(views)), build)
-        return out
+        inputs = (self._geometry.version, views_stamp(views))
+        out: LightMap = work.product("light depth map", key, inputs, build)
+        return out, self._empty[key]
