@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import ast
-import importlib
-import importlib.metadata
-import importlib.util
 import inspect
 import re
-import sys
-import traceback
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
 
+from algorithms.modules import ROOT, defined_in, files_in, import_file, import_own, installed
+from algorithms.projections import table as projections
 from algorithms.technique import ALL_LIGHTS, Technique
 from wkernels.errors import InputError, nearest
 
-ENTRY_POINTS = "wkernels.algorithms"
 FAMILIES = (
     "hard",
     "filtering",
@@ -28,18 +24,17 @@ FAMILIES = (
     "temporal",
     "reference",
 )
-ROOT = Path(__file__).parent
 
 
 def load_all(files: Sequence[Path] = ()) -> dict[str, type[Technique]]:
-    """Every technique by name, sorted.
+    """Every technique by name, sorted; parts of projections in ``files`` join ``algorithms.projections.table``.
 
     Args:
         files: Further plugin files, as given by ``--plugin``.
 
     Raises:
-        InputError: A file fails to import, holds no technique or several, is named unlike its technique, declares
-            something wrong, or takes a name that exists already. The message names the file.
+        InputError: A file fails to import, holds no plugin or several, is named unlike its plugin, declares something
+            wrong, or takes a name that exists already. The message names the file.
     """
     table: dict[str, type[Technique]] = {}
     origin: dict[str, Path] = {}
@@ -60,7 +55,7 @@ def find(name: str, files: Sequence[Path] = ()) -> type[Technique]:
     if not files:
         for path in _own_files():
             if path.stem == name:
-                return _technique_of(_import_own(path), path)
+                return _technique_of(import_own(path), path)
     table = load_all(files)
     if name not in table:
         raise InputError(f"unknown technique '{name}'.{nearest(name, table)}")
@@ -73,71 +68,21 @@ def file_of(technique: type[Technique]) -> Path:
 
 
 def _own_files() -> list[Path]:
-    return [path for family in FAMILIES for path in sorted((ROOT / family).glob("*.py")) if path.stem[0] != "_"]
+    return [path for family in FAMILIES for path in files_in(ROOT / family)]
 
 
-def _modules(files: Iterable[Path]) -> Iterable[tuple[ModuleType, Path]]:
+def _modules(files: Sequence[Path]) -> Iterator[tuple[ModuleType, Path]]:
+    """Modules that hold a technique, and their files."""
     for path in _own_files():
-        yield _import_own(path), path
-    for entry in sorted(importlib.metadata.entry_points(group=ENTRY_POINTS), key=lambda e: e.name):
-        try:
-            loaded = entry.load()
-        except Exception as error:
-            raise InputError(f"entry point '{entry.name}' of {ENTRY_POINTS} cannot be loaded: {error}") from error
-        module = loaded if isinstance(loaded, ModuleType) else sys.modules[loaded.__module__]
-        yield module, Path(module.__file__ or entry.value)
-    for path in files:
-        yield _import_file(Path(path)), Path(path)
-
-
-def _import_own(path: Path) -> ModuleType:
-    try:
-        return importlib.import_module(f"algorithms.{path.parent.name}.{path.stem}")
-    except InputError:
-        raise
-    except Exception as error:
-        raise _import_failure(path, error) from error
-
-
-def _import_file(path: Path) -> ModuleType:
-    if not path.is_file():
-        raise InputError("plugin file does not exist", file=path)
-    if path.suffix != ".py":
-        raise InputError("a plugin is a Python file (.py)", file=path)
-    name = f"wkernels_plugin_{path.stem}"
-    known = sys.modules.get(name)
-    if known is not None and known.__file__ and Path(known.__file__) == path.resolve():
-        return known
-    spec = importlib.util.spec_from_file_location(name, path.resolve())
-    if spec is None or spec.loader is None:
-        raise InputError("this file cannot be imported", file=path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # Warp looks a kernel's module up here
-    try:
-        spec.loader.exec_module(module)
-    except BaseException as error:
-        del sys.modules[name]
-        if isinstance(error, Exception):
-            raise _import_failure(path, error) from error
-        raise
-    return module
-
-
-def _import_failure(path: Path, error: Exception) -> InputError:
-    """The last place inside the plugin that the failed import passed through."""
-    line = error.lineno if isinstance(error, SyntaxError) else None
-    for frame in traceback.extract_tb(error.__traceback__):
-        if Path(frame.filename) == path.resolve():
-            line = frame.lineno
-    return InputError(f"cannot be imported: {type(error).__name__}: {error}", file=path, line=line)
+        yield import_own(path), path
+    yield from ((module, path) for module, path in installed() if not projections.holds_part(module))
+    brought = [(import_file(path), path) for path in map(Path, files)]
+    projections.add([entry for entry in brought if projections.holds_part(entry[0])])
+    yield from (entry for entry in brought if not projections.holds_part(entry[0]))
 
 
 def _technique_of(module: ModuleType, path: Path) -> type[Technique]:
-    found = [
-        value
-        for value in vars(module).values()
-        if inspect.isclass(value) and issubclass(value, Technique) and value.__module__ == module.__name__
-    ]
+    found: list[type[Technique]] = defined_in(module, Technique)
     if len(found) != 1:
         names = ", ".join(cls.__name__ for cls in found) or "none"
         raise InputError(f"a plugin file holds exactly one Technique, this one holds {len(found)} ({names})", file=path)

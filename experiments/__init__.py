@@ -1,5 +1,8 @@
 """Experiments with shadow techniques: scenes, reference, metrics, walkthroughs, reports.
 
+Rooms, bottom up: ``config``, ``metrics``; ``scenes``; ``schema``; ``rendering``; ``results``; ``report``; ``views``,
+``bench``; ``kinds``; ``api``; ``commands``; ``cli``. Begin with ``schema.experiment`` and ``kinds.walkthrough.run``.
+
 ``render_visibility`` and ``reference_visibility`` are the calls for scripts and notebooks; importing this package alone
 loads neither Warp nor any technique.
 """

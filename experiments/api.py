@@ -10,13 +10,13 @@ import numpy as np
 
 from algorithms.plugins import find
 from algorithms.projections.composition import compose
+from algorithms.projections.schema import Projection
 from algorithms.technique import Technique
-from experiments.config.needs import check_needs
 from experiments.config.source import from_dict, validate
-from experiments.kinds.walkthrough.config import Projection
 from experiments.rendering.engine import check_device
-from experiments.rendering.reference import reference_for
+from experiments.rendering.reference import ReferenceRenderer
 from experiments.scenes import load_scene
+from experiments.schema.needs import check_needs
 from wkernels.errors import InputError, nearest
 from wkernels.frame.session import FrameResult, LightViews, Session
 from wkernels.scene.geometry import Geometry
@@ -128,10 +128,9 @@ def reference_visibility(
         InputError: Anything in the arguments or the scene is wrong.
     """
     geometry = _geometry(scene, frame, width, height, light, device, seed, threads)
-    reference = reference_for(
+    renderer = ReferenceRenderer(
         geometry,
         samples=samples,
-        frame=frame,
         width=width,
         height=height,
         light=light,
@@ -140,6 +139,7 @@ def reference_visibility(
         seed=seed,
         cache=cache,
     )
+    reference = renderer.render(frame)
     return reference.visibility, reference.standard_error
 
 

@@ -22,7 +22,8 @@ app = typer.Typer(
 )
 
 Plugins = Annotated[
-    list[Path] | None, typer.Option("--plugin", metavar="FILE.py", help="A technique of your own; repeatable.")
+    list[Path] | None,
+    typer.Option("--plugin", metavar="FILE.py", help="A technique or part of projections; repeatable."),
 ]
 Device = Annotated[str, typer.Option(help="cpu, or a CUDA device such as cuda:0.")]
 Threads = Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads; default: all.")]

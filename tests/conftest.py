@@ -56,6 +56,7 @@ def _shared_references(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Non
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--device", default="cpu", help="Warp device of the kernel and conformance tests (cpu, cuda:0)")
+    parser.addoption("--plugin", action="append", default=[], help="technique file that tests/conformance is about")
 
 
 @pytest.fixture(scope="session")

@@ -9,124 +9,82 @@ from typing import Any
 
 import numpy as np
 
-from algorithms.projections.projection import LEAST_ANGLE, Fit, Stabiliser, Warp, fits, stabilisers, warps
-from wkernels.errors import InputError, nearest
-from wkernels.frame.near_plane import NEAR_PLANES
-from wkernels.frame.session import LightViews
-from wkernels.light_maps.storage import DRAWINGS, PLACES, MapOptions
+from algorithms.projections.projection import LEAST_ANGLE, Fit, Stabiliser, Warp
+from algorithms.projections.schema import Projection, read_projection
+from algorithms.projections.table import fits, stabilisers, warps
+from wkernels.errors import InputError
+from wkernels.frame.light_side import LightViews
+from wkernels.light_maps.storage import PLACES, MapOptions
 from wkernels.projections.clipping import ConvexBody, clip_polyhedron
 from wkernels.projections.focusing import LightSpace, depth_range, fitted_view, light_space, projective_view, warp_shape
 from wkernels.projections.light_views import scene_views
 from wkernels.projections.side_pieces import side_pieces
-from wkernels.projections.splits import SCHEMES, pseudo_planes, shares_of_split, split_borders
+from wkernels.projections.splits import pseudo_planes, shares_of_split, split_borders
 from wkernels.scene.geometry import Bounds
 from wkernels.scene.views import HostView, LayerChoice, ProjectiveView
-
-DEFAULTS: Mapping[str, Any] = {
-    "fit": "scene",
-    "warp": "none",
-    "warp_distance": None,
-    "warp_centre": "view_vector",
-    "splits": 1,
-    "scheme": "practical",
-    "lambda": 0.5,
-    "pseudo_near": 0.0,
-    "pseudo_far": 0.0,
-    "selection": "depth",
-    "partition": "depth",
-    "near": "user",
-    "adjust": True,
-    "depth": "scene",
-    "storage": "separate",
-    "drawing": "passes",
-    "stabilise": "none",
-}
-MAX_SPLITS = 16
 
 
 def compose(settings: Mapping[str, Any] | None = None) -> LightViews:
     """The projection that a mapping with the keys of an experiment file's ``projection`` stands for.
 
     Args:
-        settings: Keys of ``DEFAULTS``; what is left out is the plainest value.
+        settings: Keys of ``Projection``; what is left out is the plainest value.
 
     Raises:
         InputError: An unknown key, a value that does not exist, or parts that make no sense together, with the reason.
     """
-    given = dict(settings or {})
-    for key in given:
-        if key not in DEFAULTS:
-            raise InputError(f"is not a known key.{nearest(str(key), DEFAULTS)}", key=f"projection.{key}")
-    chosen = {**DEFAULTS, **given}
-    tables: dict[str, Any] = {"fit": fits(), "warp": warps(), "stabilise": {"none": None, **stabilisers()}}
-    choices: dict[str, list[Any]] = {
-        **{key: list(table) for key, table in tables.items()},
-        "splits": list(range(1, MAX_SPLITS + 1)),
-        "scheme": list(SCHEMES),
-        "selection": ["depth", "best"],
-        "storage": list(PLACES),
-        "drawing": list(DRAWINGS),
-        "warp_centre": ["view_vector", "vertex"],
-        "partition": ["depth", "faces"],
-        "near": list(NEAR_PLANES),
-        "adjust": [True, False],
-        "depth": ["scene", "tight"],
-    }
-    for key, values in choices.items():
-        # a bool compares equal to a number and is no number of splits, nor a number a bool
-        if isinstance(chosen[key], bool) != isinstance(values[0], bool) or chosen[key] not in values:
-            shown = f"1 to {MAX_SPLITS}" if key == "splits" else ", ".join(str(value) for value in values)
-            raise InputError(f"{chosen[key]!r} is not available; available: {shown}.", key=f"projection.{key}")
-    fit: Fit = tables["fit"][chosen["fit"]]()
-    _check_together(chosen, fit)
+    chosen = read_projection(settings or {})
+    fit, warp = fits()[chosen.fit](), warps()[chosen.warp]()
+    _check_together(chosen, fit, warp)
     if not fit.follows_eye:
         return SceneViews(fit, chosen)
-    stabiliser = tables["stabilise"][chosen["stabilise"]]
-    return Composition(fit, tables["warp"][chosen["warp"]](), stabiliser() if stabiliser else None, chosen)
+    stabiliser = None if chosen.stabilise == "none" else stabilisers()[chosen.stabilise]()
+    return Composition(fit, warp, stabiliser, chosen)
 
 
-def _check_together(chosen: Mapping[str, Any], fit: Fit) -> None:
+def _check_together(chosen: Projection, fit: Fit, warp: Warp) -> None:
     """Refuses compositions that make no sense."""
-
-    def refuse(key: str, why: str) -> InputError:
-        return InputError(why, key=f"projection.{key}")
-
     if not fit.follows_eye:
         tight = ", ".join(name for name, cls in fits().items() if cls.follows_eye)
+        changed = chosen.changed()
         for key in ("warp", "splits", "stabilise", "partition", "near", "adjust", "depth"):
-            if chosen[key] != DEFAULTS[key]:
-                why = (
-                    f"{chosen[key]!r} needs a fit that follows the eye ({tight}); '{fit.name}' covers the whole scene."
-                )
-                raise refuse(key, why)
-    if chosen["stabilise"] != "none" and chosen["warp"] != "none":
+            if key in changed:
+                why = f"needs a fit that follows the eye ({tight}); '{fit.name}' covers the whole scene."
+                raise _refused(key, f"{changed[key]!r} {why}")
+    if chosen.stabilise != "none" and chosen.warp != "none":
         why = "cannot stabilise a warp, whose texels differ in size and move with the eye; a temporal technique can."
-        raise refuse("stabilise", why)
-    if chosen["near"] != "user" and chosen["stabilise"] == "exact":
-        why = f"{chosen['near']!r} cannot be with texels of constant size, which need a constant depth range."
-        raise refuse("near", why)
-    if chosen["partition"] == "faces":
-        if chosen["splits"] > 1:
+        raise _refused("stabilise", why)
+    if chosen.near != "user" and chosen.stabilise != "none" and not stabilisers()[chosen.stabilise].adjusts:
+        why = f"{chosen.near!r} cannot be with texels of constant size, which need a constant depth range."
+        raise _refused("near", why)
+    if chosen.partition == "faces":
+        if chosen.splits > 1:
             why = "'faces' needs one split: it divides the view by its sides instead of by depth."
-            raise refuse("partition", why)
-        if chosen["stabilise"] != "none":
-            raise refuse("stabilise", "cannot stabilise the maps of faces, whose axes turn with the eye.")
-        if chosen["selection"] != "depth":
-            raise refuse("selection", "'best' chooses among splits by depth; the maps of faces are chosen by margin.")
-    if (chosen["warp"] == "arbitrary") != (chosen["warp_distance"] is not None):
-        why = "is required by the warp 'arbitrary'." if chosen["warp"] == "arbitrary" else "needs the warp 'arbitrary'."
-        raise refuse("warp_distance", why)
+            raise _refused("partition", why)
+        if chosen.stabilise != "none":
+            raise _refused("stabilise", "cannot stabilise the maps of faces, whose axes turn with the eye.")
+        if chosen.selection != "depth":
+            why = "'best' chooses among splits by depth; the maps of faces are chosen by margin."
+            raise _refused("selection", why)
+    if warp.takes_distance != (chosen.warp_distance is not None):
+        takers = " or ".join(repr(name) for name, cls in warps().items() if cls.takes_distance)
+        needed = chosen.warp_distance is None
+        why = f"is required by the warp '{warp.name}'." if needed else f"needs the warp {takers}."
+        raise _refused("warp_distance", why)
     for key in ("pseudo_near", "pseudo_far"):
-        if chosen[key] and chosen["scheme"] != "pseudo":
-            raise refuse(key, "needs the scheme 'pseudo'.")
-    if chosen["pseudo_near"] + chosen["pseudo_far"] >= 1.0:
-        raise refuse("pseudo_near", "pseudo_near and pseudo_far together must be less than 1.")
-    slots = PLACES[chosen["storage"]]
+        if getattr(chosen, key) and chosen.scheme != "pseudo":
+            raise _refused(key, "needs the scheme 'pseudo'.")
+    if chosen.pseudo_near + chosen.pseudo_far >= 1.0:
+        raise _refused("pseudo_near", "pseudo_near and pseudo_far together must be less than 1.")
+    slots = PLACES[chosen.storage]
     if slots is not None and fit.follows_eye:  # how many views cover the whole scene is up to its light
-        if chosen["splits"] > slots or (chosen["storage"] == "cube6" and chosen["splits"] != slots):
-            raise refuse(
-                "storage", f"{chosen['storage']!r} has {slots} places, which {chosen['splits']} splits do not fit."
-            )
+        if chosen.splits > slots or (chosen.storage == "cube6" and chosen.splits != slots):
+            why = f"{chosen.storage!r} has {slots} places, which {chosen.splits} splits do not fit."
+            raise _refused("storage", why)
+
+
+def _refused(key: str, why: str) -> InputError:
+    return InputError(why, key=f"projection.{key}")
 
 
 class SceneViews:
@@ -134,12 +92,12 @@ class SceneViews:
 
     Args:
         fit: The fit.
-        settings: All keys of ``DEFAULTS``, checked.
+        settings: What was asked for.
     """
 
-    def __init__(self, fit: Fit, settings: Mapping[str, Any]) -> None:
+    def __init__(self, fit: Fit, settings: Projection) -> None:
         self.fit = fit
-        self.map_options = MapOptions(settings["storage"], settings["drawing"])
+        self.map_options = MapOptions(settings.storage, settings.drawing)
 
     def __call__(
         self, light_ws: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int, eye: HostView
@@ -153,17 +111,17 @@ class Composition:
 
     Args:
         fit, warp, stabiliser: The parts; None where nothing is stabilised.
-        settings: All keys of ``DEFAULTS``, checked.
+        settings: What was asked for, which makes sense together.
 
     Attributes:
         near: Which near plane the eye's view has that this is called with; ``wkernels.frame.near_plane``.
         left_out: Pairs (what, reason) of what the last call could not do, or did not need to.
     """
 
-    def __init__(self, fit: Fit, warp: Warp, stabiliser: Stabiliser | None, settings: Mapping[str, Any]) -> None:
-        self.fit, self.warp, self.stabiliser, self.settings = fit, warp, stabiliser, dict(settings)
-        self.map_options = MapOptions(settings["storage"], settings["drawing"])
-        self.near: str = self.settings["near"]
+    def __init__(self, fit: Fit, warp: Warp, stabiliser: Stabiliser | None, settings: Projection) -> None:
+        self.fit, self.warp, self.stabiliser, self.settings = fit, warp, stabiliser, settings
+        self.map_options = MapOptions(settings.storage, settings.drawing)
+        self.near = settings.near
         self.left_out: list[tuple[str, str]] = []
 
     def __call__(
@@ -185,7 +143,7 @@ class Composition:
             return scene_views(light_ws, receivers, casters, resolution)
         scene = Bounds()
         scene.add(np.concatenate([receivers.corners, casters.corners]))
-        faces = self.settings["partition"] == "faces"
+        faces = self.settings.partition == "faces"
         pieces = side_pieces(whole, eye) if faces else [(whole, eye)]
         views: list[HostView] = []
         for body, ahead in pieces:
@@ -210,7 +168,7 @@ class Composition:
     ) -> list[ProjectiveView]:
         """The views of a body's splits; without a choice of layers where the body is one of several pieces."""
         views = []
-        adjusts = self.settings["adjust"] and (self.stabiliser is None or self.stabiliser.adjusts)
+        adjusts = self.settings.adjust and (self.stabiliser is None or self.stabiliser.adjusts)
         near, far = depth_range(whole.vertices, eye) if adjusts else (eye.near, eye.far)
         borders = self._borders(near, far)
         row = (*eye.forward_ws, -float(eye.forward_ws @ eye.eye_ws))
@@ -223,9 +181,9 @@ class Composition:
                 self._note("light view of a split", "nothing of what the eye sees lies in it")
                 continue
             last = i == len(borders) - 2
-            choice = LayerChoice(self.settings["selection"], row, np.inf if last else float(end)) if by_depth else None
+            choice = LayerChoice(self.settings.selection, row, np.inf if last else float(end)) if by_depth else None
             part = replace(eye, near=float(begin), far=float(end))
-            planes = pseudo_planes(near, far, self.settings["pseudo_near"], self.settings["pseudo_far"])
+            planes = pseudo_planes(near, far, self.settings.pseudo_near, self.settings.pseudo_far)
             shares = shares_of_split(borders, i, planes)
             views.append(self._view(space, body.vertices, part, resolution, choice, shares))
         return views
@@ -237,7 +195,7 @@ class Composition:
         the receiver before everything that is seen, too. All layers have it from the whole of what is seen, because
         receivers may read a layer that was not made for them.
         """
-        if self.settings["depth"] == "scene":
+        if self.settings.depth == "scene":
             return 0.0
         depth, first = (points @ space.rows[2, :3] + space.rows[2, 3] for points in (seen.vertices, scene.corners))
         near = 2.0 * float(depth.min()) - float(depth.max())
@@ -246,11 +204,11 @@ class Composition:
     def _borders(self, near: float, far: float) -> np.ndarray:
         settings = self.settings
         if far <= near * (1.0 + 1e-9):  # flat across the view: nothing to split
-            if settings["splits"] > 1:
+            if settings.splits > 1:
                 self._note("splits of the view's depth", "what is seen has no depth to split")
             return np.array([near, far])
-        shares = settings["pseudo_near"], settings["pseudo_far"]
-        return split_borders(near, far, settings["splits"], settings["scheme"], settings["lambda"], *shares)
+        shares = settings.pseudo_near, settings.pseudo_far
+        return split_borders(near, far, settings.splits, settings.scheme, settings.lambda_, *shares)
 
     def _view(
         self,
@@ -267,14 +225,14 @@ class Composition:
             rows[0] = (2.0 * rows[0] - (right + left) * rows[3]) / (right - left)
             rows[1] = (2.0 * rows[1] - (top + bottom) * rows[3]) / (top - bottom)
             return projective_view(space, rows, resolution, choice)
-        given = {"pseudo_near": shares[0], "pseudo_far": shares[1], "distance": self.settings["warp_distance"]}
+        given = {"pseudo_near": shares[0], "pseudo_far": shares[1], "distance": self.settings.warp_distance}
         shape = warp_shape(space, body, eye, **given)
         distance = self.warp.bounded_distance(shape)
-        if shape.gamma < LEAST_ANGLE and self.settings["warp"] != "none":
+        if shape.gamma < LEAST_ANGLE and self.settings.warp != "none":
             self._note("warp", "light and view direction are less than a degree apart: nothing is better than none")
         depth = (body - eye.eye_ws) @ eye.forward_ws
         # the point with the nearest corner's depth on the view vector moves as the eye does; the corner itself jumps
         centre = eye.eye_ws + float(depth.min()) * eye.forward_ws
-        if self.settings["warp_centre"] == "vertex":
+        if self.settings.warp_centre == "vertex":
             centre = body[int(np.argmin(depth))]
         return fitted_view(space, body, resolution, distance, centre if np.isfinite(distance) else None, choice)

@@ -1,22 +1,12 @@
-"""Projections: where light depth maps look, composed of a fit, a warp, splits and a stabilisation.
-
-Each part is a plugin, one class in one file, found by scanning its folder: ``projections/fits`` (what the view is
-fitted to), ``projections/warps`` (how its texels are moved towards the eye), ``projections/stabilisers`` (what keeps
-its texels still). Partition schemes are formulas (``splits``). Every technique that reads a light depth map
-does so through whatever composition its session was given; ``algorithms.projections.composition`` puts one together.
-"""
+"""The parts of a projection: what a fit, a warp and a stabiliser implement, each one class in one file."""
 
 from __future__ import annotations
 
-import importlib
-import inspect
 from abc import ABC, abstractmethod
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from wkernels.errors import InputError
 from wkernels.projections.clipping import ConvexBody
 from wkernels.projections.focusing import LightSpace, WarpShape
 from wkernels.scene.geometry import Bounds
@@ -25,24 +15,24 @@ from wkernels.scene.views import HostView
 LEAST_ANGLE = np.radians(1.0)
 """Between light and view direction: below it the frusta duel and nothing is better than no warp."""
 
-__all__ = ["Fit", "Stabiliser", "Warp", "WarpShape", "fits", "stabilisers", "warps"]
-
-FOLDER = Path(__file__).parent
+__all__ = ["Fit", "Part", "Stabiliser", "Warp", "WarpShape"]
 
 
-class Plugin(ABC):
+class Part(ABC):
     """A part of a projection; subclasses of its kinds are final and live alone in their file.
 
     Attributes:
         name: File name = value of the key.
         paper: Keys in references.bib.
+        title: In headings of pictures; empty for kind and name.
     """
 
     name: ClassVar[str]
     paper: ClassVar[tuple[str, ...]]
+    title: ClassVar[str] = ""
 
 
-class Fit(Plugin):
+class Fit(Part):
     """Decides what a light view has to cover.
 
     Attributes:
@@ -77,8 +67,14 @@ class Fit(Plugin):
         raise NotImplementedError
 
 
-class Warp(Plugin):
-    """Decides how strongly texels are moved towards the eye."""
+class Warp(Part):
+    """Decides how strongly texels are moved towards the eye.
+
+    Attributes:
+        takes_distance: Whether it reads ``shape.distance``, the key ``warp_distance``, which it then requires.
+    """
+
+    takes_distance: ClassVar[bool] = False
 
     @abstractmethod
     def distance(self, shape: WarpShape) -> float:
@@ -96,7 +92,7 @@ class Warp(Plugin):
         return distance if distance > 0.0 else float(np.inf)
 
 
-class Stabiliser(Plugin):
+class Stabiliser(Part):
     """Keeps the texels of an unwarped directional view where they were as the eye moves.
 
     Attributes:
@@ -118,40 +114,3 @@ class Stabiliser(Plugin):
         Returns:
             (left, right, bottom, top) in map units.
         """
-
-
-def fits() -> dict[str, type[Fit]]:
-    """Every fit by name. Raises InputError where a file cannot be imported or does not hold exactly one such plugin."""
-    return _found("fits", Fit)
-
-
-def warps() -> dict[str, type[Warp]]:
-    """Every warp by name; see ``fits``."""
-    return _found("warps", Warp)
-
-
-def stabilisers() -> dict[str, type[Stabiliser]]:
-    """Every stabiliser by name; see ``fits``."""
-    return _found("stabilisers", Stabiliser)
-
-
-def _found(folder: str, kind: Any) -> dict[str, Any]:
-    files = sorted((FOLDER / folder).glob("*.py"))
-    return {path.stem: _plugin_of(path, kind) for path in files if path.stem[0] != "_"}
-
-
-def _plugin_of(path: Path, kind: Any) -> Any:
-    try:
-        module = importlib.import_module(f"algorithms.projections.{path.parent.name}.{path.stem}")
-    except Exception as error:
-        raise InputError(f"cannot be imported: {type(error).__name__}: {error}", file=path) from error
-    found: list[Any] = [
-        value
-        for value in vars(module).values()
-        if inspect.isclass(value) and issubclass(value, kind) and value.__module__ == module.__name__
-    ]
-    names = [getattr(value, "name", None) for value in found]
-    if names != [path.stem]:
-        message = f"a projection file holds exactly one {kind.__name__} with the file's name, this one holds {names}"
-        raise InputError(message, file=path)
-    return found[0]

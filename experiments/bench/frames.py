@@ -14,7 +14,7 @@ from algorithms.plugins import find, load_all
 from experiments.bench.passes import depth_mismatch
 from experiments.bench.plan import Bench
 from experiments.bench.rows import WARM_UPS, Row, Timed, interleaved_medians, interleaved_times
-from experiments.config.needs import unmet_need
+from experiments.schema.needs import unmet_need
 from wkernels.frame.session import Session
 from wkernels.light_maps.light_map import depths_on_host
 from wkernels.scene.geometry import Geometry

@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 
 from experiments.kinds.convergence.report import load_convergence_rows
-from experiments.results.store import ConvergenceStore
+from experiments.kinds.convergence.store import ConvergenceStore
 
 COLUMNS = ("coverage_2se", "penumbra_standard_error", "penumbra_rmse", "zero_standard_error")
 

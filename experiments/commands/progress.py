@@ -5,10 +5,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from experiments.kinds.walkthrough.run import Progress
+from experiments.kinds.kind import Progress
 
 _LINES = 20  # about as many lines as this for the whole work, however long it is
 
@@ -25,9 +23,9 @@ def progress_display() -> Iterator[Progress]:
 
     columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
     with Bar(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("", total=None)
 
         def show(done: int, total: int, what: str) -> None:
+            task = bar.task_ids[0] if bar.task_ids else bar.add_task("", total=None)  # none for work without progress
             bar.update(task, completed=done, total=total, description=what)
 
         yield show

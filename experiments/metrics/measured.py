@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,24 +48,25 @@ class Metric:
         title: Name for axes and table heads.
         description: What it measures, in one sentence.
         unit: Unit of the number.
+        evaluate: The function; None where an input is missing.
         best: The value of a perfect image; larger distance from it is worse.
         worst: The value furthest from ``best`` that can occur.
         always: Whether it is computed without being asked for (whenever its inputs exist).
         from_images: Whether the stored raw images of that frame suffice to compute it again.
         version: Version of the definition.
-        evaluate: The function; None where an input is missing.
     """
 
     name: str
     title: str
     description: str
     unit: str
-    best: float
-    worst: float
-    always: bool
-    from_images: bool
-    version: int
     evaluate: Callable[[Measured], float | None]
+    _: KW_ONLY
+    best: float = 0.0
+    worst: float = 1.0
+    always: bool = True
+    from_images: bool = True
+    version: int = 1
 
 
 def beside_hard_edge(visibility: np.ndarray) -> np.ndarray:

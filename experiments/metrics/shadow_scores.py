@@ -72,46 +72,29 @@ def _mixed(visibility: np.ndarray) -> float:
     return float(np.sum(v * (1.0 - v)))
 
 
-def _score(
-    name: str, title: str, description: str, unit: str, evaluate: Callable[[Measured], float | None], worst: float = 1.0
-) -> Metric:
-    return Metric(
-        name,
-        title,
-        description,
-        unit,
-        best=0.0,
-        worst=worst,
-        always=True,
-        from_images=True,
-        version=1,
-        evaluate=evaluate,
-    )
-
-
 SCORE_DESCRIPTORS = (
-    _score(
+    Metric(
         "rmse_umbra",
         "RMSE, umbra",
         "RMSE over the pixels whose reference sees nothing of the light.",
         "visibility",
         _rmse_in(lambda classes: classes.umbra),
     ),
-    _score(
+    Metric(
         "rmse_penumbra",
         "RMSE, penumbra",
         "RMSE over the pixels whose reference sees some of the light.",
         "visibility",
         _rmse_in(lambda classes: classes.penumbra),
     ),
-    _score(
+    Metric(
         "rmse_lit",
         "RMSE, lit",
         "RMSE over the pixels whose reference sees all of the light.",
         "visibility",
         _rmse_in(lambda classes: classes.lit),
     ),
-    _score(
+    Metric(
         "acne",
         "acne",
         f"Share of the pixels amid lit ones that are darker than the reference by more than {SEEN:g}: surfaces that "
@@ -119,7 +102,7 @@ SCORE_DESCRIPTORS = (
         "share",
         _share_in(lambda classes: classes.deep_lit, -1.0),
     ),
-    _score(
+    Metric(
         "leak",
         "leak",
         f"Share of the pixels amid umbra that are lighter than the reference by more than {SEEN:g}: light that passes "
@@ -127,7 +110,7 @@ SCORE_DESCRIPTORS = (
         "share",
         _share_in(lambda classes: classes.deep_umbra, 1.0),
     ),
-    _score(
+    Metric(
         "penumbra_width_error",
         "penumbra width",
         "How much too wide penumbrae are, as a share of their width; negative = too hard, -1 = no penumbra at all.",

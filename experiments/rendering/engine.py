@@ -10,15 +10,24 @@ from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+import warp as wp
 
+from algorithms.plugins import load_all
+from algorithms.projections.composition import compose
+from experiments.rendering.reference import ReferenceRenderer
+from experiments.schema.needs import check_runs
+from wkernels.analysis import sampling_rate
+from wkernels.device.launch import default_threads
 from wkernels.errors import InputError, nearest
+from wkernels.frame.session import Session
+from wkernels.scene.geometry import Geometry
+from wkernels.scene.views import eye_view
+from wkernels.temporal.shadow_buffer.many_lights import light_weights
 
 if TYPE_CHECKING:
-    from experiments.config.techniques import TechniqueRun
-    from experiments.kinds.walkthrough.config import Experiment
-    from experiments.rendering.reference import ReferenceRenderer
-    from wkernels.analysis.sampling_rate import MapUse
-    from wkernels.frame.session import Session
+    from experiments.schema.experiment import Experiment
+    from experiments.schema.models import Image
+    from experiments.schema.techniques import TechniqueRun
     from wkernels.scene.model import Scene
 
 
@@ -78,7 +87,7 @@ class Engine(Protocol):
     def ws_to_ss(self, frame: int) -> np.ndarray:
         """The eye's matrix of a frame, float64 (4, 4), rows x, y, linear depth, w."""
 
-    def map_use(self, session: Any) -> MapUse | None:
+    def map_use(self, session: Any) -> sampling_rate.MapUse | None:
         """How the light map that the session's last frame read suits it; None if it read none. Not timed."""
 
 
@@ -105,15 +114,7 @@ class WarpEngine:
         skips: bool = True,
         plugins: Mapping[str, type] | None = None,
     ) -> None:
-        from algorithms.projections.composition import compose
-        from experiments.config.needs import check_needs, shows_all_lights
-        from wkernels.device.launch import default_threads
-        from wkernels.scene.geometry import Geometry
-
-        if plugins is None:
-            from algorithms.plugins import load_all
-
-            plugins = load_all()
+        plugins = load_all() if plugins is None else plugins
         check_device(device)
         self.experiment = experiment
         self.plugins = plugins
@@ -123,8 +124,7 @@ class WarpEngine:
         for run in experiment.runs:
             if run.name not in plugins:
                 raise InputError(f"there is no technique '{run.name}'." + nearest(run.name, plugins))
-            check_needs(plugins[run.name], self.scene, self.scene.lights[experiment.light])
-        self.all_lights = shows_all_lights(experiment.runs, plugins, self.scene)
+        self.all_lights = check_runs(experiment.runs, plugins, self.scene, experiment.light)
         self._projections = {run.label: compose(run.projection) if run.projection else None for run in experiment.runs}
         self.geometry = Geometry(self.scene, device, self.threads)
         self._references: dict[int, ReferenceRenderer] = {}
@@ -139,8 +139,6 @@ class WarpEngine:
             skips: Whether work may be left out; the engine's own choice if None.
             done_anyway: Pairs (what, reason) that are done nevertheless.
         """
-        from wkernels.frame.session import Session
-
         cls: Any = self.plugins[run.name]
         session = Session(
             self.geometry,
@@ -161,8 +159,6 @@ class WarpEngine:
 
         Where the techniques show all lights it is the mean of all lights' references, weighted as theirs is.
         """
-        from wkernels.temporal.shadow_buffer.many_lights import light_weights
-
         lights = self.scene.lights
         if not self.all_lights:
             return self._reference_of(self.experiment.light, frame)
@@ -173,8 +169,6 @@ class WarpEngine:
         return np.asarray(visibility, np.float32), np.asarray(np.sqrt(variance), np.float32)
 
     def _reference_of(self, light: int, frame: int) -> tuple[np.ndarray, np.ndarray]:
-        from experiments.rendering.reference import ReferenceRenderer
-
         experiment = self.experiment
         assert experiment.reference is not None
         if light not in self._references:
@@ -195,22 +189,35 @@ class WarpEngine:
 
     def ws_to_ss(self, frame: int) -> np.ndarray:
         """The eye's matrix of a frame in the scene's own world space."""
-        from wkernels.scene.views import eye_view
-
         image = self.experiment.image
         return eye_view(self.scene.camera(frame), image.width, image.height, np.zeros(3)).ws_to_ss
 
-    def map_use(self, session: Any) -> MapUse | None:
+    def map_use(self, session: Any) -> sampling_rate.MapUse | None:
         """See ``wkernels.analysis.sampling_rate``."""
-        from wkernels.analysis.sampling_rate import map_use
+        return sampling_rate.map_use(session)
 
-        return map_use(session)
+
+def check_result(result: FrameLike | None, image: Image) -> None:
+    """Refuses what cannot be measured: metrics leave out pixels that are not finite, and would flatter a technique.
+
+    Raises:
+        ValueError: The result is not one number for every receiver pixel of the image.
+    """
+    assert result is not None
+    size = (image.height, image.width)
+    if result.visibility.shape != size:
+        raise ValueError(f"visibility has the size {result.visibility.shape}, not {size}")
+    receivers = int(np.isfinite(result.visibility).sum()) + result.not_finite
+    if result.not_finite:
+        raise ValueError(f"visibility is not finite in {result.not_finite} of {receivers} receiver pixels")
+    if result.standard_error is not None:
+        known = result.standard_error[np.isfinite(result.visibility)]
+        if wrong := int((~(known >= 0.0) | np.isinf(known)).sum()):
+            raise ValueError(f"the standard error is negative or not finite in {wrong} of {receivers} receiver pixels")
 
 
 def check_device(device: str) -> None:
     """Raises InputError unless ``device`` names a Warp device of this machine."""
-    import warp as wp
-
     known = [str(d) for d in wp.get_devices()]
     if device not in known and device != "cuda":
         raise InputError(f"there is no device '{device}'." + nearest(device, known), key="--device")
@@ -220,8 +227,6 @@ def check_device(device: str) -> None:
 
 def kernels_of(technique: type) -> int:
     """How many kernels stand in a technique's own file."""
-    import warp as wp
-
     return sum(
         isinstance(held, wp.Kernel) and held.module.name == technique.__module__
         for held in vars(sys.modules[technique.__module__]).values()

@@ -11,13 +11,10 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
-import math
 import os
 import tempfile
-import time
 import zipfile
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -135,30 +132,6 @@ class ReferenceRenderer:
             own = part
         return made
 
-    def progressive(
-        self, frame: int, batch: int = 64, *, standard_error: float = 0.0, budget_s: float = math.inf
-    ) -> Iterator[tuple[int, Reference]]:
-        """The reference of a frame as it grows: (samples so far, reference) after each batch; the cache is not used.
-
-        Args:
-            frame: Frame of the scene's path.
-            batch: Samples traced at a time, at least 1.
-            standard_error: Ends when the root mean square of the standard error over the receivers is no larger.
-            budget_s: Ends after the batch that exceeds this many seconds.
-        """
-        self.geometry.set_frame(frame)
-        begin, done = time.perf_counter(), 0
-        made: Reference | None = None
-        while done < self._samples:
-            count = min(batch, self._samples - done)
-            part = self._trace(frame, count, done)
-            made = part if made is None else self._merge(made, done, part, count)
-            done += count
-            yield done, made
-            error = made.standard_error[np.isfinite(made.standard_error)].astype(np.float64)
-            if error.size == 0 or np.sqrt(np.mean(error**2)) <= standard_error or _since(begin) > budget_s:
-                return
-
     def _largest_part(self, stem: str) -> tuple[int, Reference] | None:
         """The cached reference of the most samples, but fewer than wanted."""
         counts = (path.stem.removeprefix(f"{stem}-") for path in cache_folder().glob(f"{stem}-*.npz"))
@@ -224,49 +197,11 @@ class ReferenceRenderer:
         return stem if samples == 0 else f"{stem}-{self._samples}"
 
 
-def reference_for(
-    geometry: Geometry,
-    *,
-    samples: int,
-    frame: int,
-    width: int,
-    height: int,
-    light: int = 0,
-    centre: bool = False,
-    device: str = "cpu",
-    threads: int | None = None,
-    seed: int = 1,
-    cache: bool = True,
-) -> Reference:
-    """The reference of one frame; for many frames of one geometry use ``ReferenceRenderer``, whose arguments these are.
-
-    Raises:
-        InputError: ``samples`` out of range.
-    """
-    renderer = ReferenceRenderer(
-        geometry,
-        samples=samples,
-        width=width,
-        height=height,
-        light=light,
-        centre=centre,
-        device=device,
-        threads=threads,
-        seed=seed,
-        cache=cache,
-    )
-    return renderer.render(frame)
-
-
 def cache_folder() -> Path:
     """Where references are kept: under ``WKERNELS_CACHE`` if it is set, else under the user's cache folder."""
     chosen = os.environ.get(CACHE_VARIABLE, "")
     root = Path(chosen).expanduser() if chosen else Path(platformdirs.user_cache_dir("wkernels", appauthor=False))
     return root / "reference"
-
-
-def _since(begin: float) -> float:
-    return time.perf_counter() - begin
 
 
 def _technique(has_area: bool, samples: int, start: int = 0) -> Technique:

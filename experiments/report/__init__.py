@@ -1,10 +1,6 @@
-"""The report of a result folder: plots and one self-contained page, made from the stored files alone.
+"""Parts of reports that several kinds share: figures, pictures, data for scripts, and how a page is made of them.
 
-Pages are templates (templates/*.html) with their style and scripts written into them: plain JavaScript in one scope, in
-the order of ``page.SCRIPTS``. What a script shows it reads from JSON in the page, which ``data`` makes.
+Pages are templates (templates/*.html and those of the kinds) with their style and scripts written into them: plain
+JavaScript in one scope, in the order of ``page.SCRIPTS``. What a script shows it reads from JSON in the page, which
+``data`` makes. Begin with ``page``; a kind's report is in its folder.
 """
-
-from experiments.report.write import write_report
-from experiments.results.summary import recompute_metrics
-
-__all__ = ["recompute_metrics", "write_report"]

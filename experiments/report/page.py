@@ -1,17 +1,23 @@
-"""How pages are made: one template environment, whose pages hold their style, scripts and data and load nothing."""
+"""How pages are made: templates of the kinds on one base; pages hold their style, scripts and data and load nothing."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from importlib.resources import files
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from experiments.report.style import COLORS, DARK_COLORS
+from experiments.results.store import Store
+from experiments.results.tables import write_text
+from wkernels.errors import InputError
+
+TEMPLATES = Path(__file__).parent / "templates"
 
 # One script element: every file sees what the files before it define, and nothing leaks into the page.
 SCRIPTS = (
@@ -20,11 +26,34 @@ SCRIPTS = (
 )  # fmt: skip
 
 
-def render(template: str, **values: Any) -> str:
-    """A page from a template of this package; text is escaped, and every name must be given."""
-    environment = Environment(
-        loader=PackageLoader("experiments.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
+def write_page(out: Path, template: Path, **values: Any) -> Path:
+    """Writes report.html of a result folder and returns its path; InputError where it cannot be written."""
+    page = render(template, **values)
+    with writing_report(out):
+        write_text(out / "report.html", page)
+    return out / "report.html"
+
+
+@contextmanager
+def writing_report(out: Path) -> Iterator[None]:
+    """Turns a failure to write into the one message."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"the report cannot be written ({error.strerror or error}).", file=out) from error
+
+
+def record(store: Store) -> dict[str, Any]:
+    """What every page tells of its run: values for a template."""
+    environment = store.environment()
+    told = {name: environment[name] for name in ("run", "environment", "identity")}
+    return told | {"config": (store.out / "config.yaml").read_text(encoding="utf-8")}
+
+
+def render(template: Path, **values: Any) -> str:
+    """A page from a template, which may extend ours; text is escaped, and every name must be given."""
+    loader = FileSystemLoader([template.parent, TEMPLATES])
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     environment.filters |= {
         "number": number,
         "plain": plain,
@@ -33,11 +62,11 @@ def render(template: str, **values: Any) -> str:
         "exact": exact,
         "size": size,
     }
-    return environment.get_template(template).render(style=_style(), scripts=_scripts(), **values)
+    return environment.get_template(template.name).render(style=_style(), scripts=_scripts(), **values)
 
 
 def _asset(name: str) -> str:
-    return (files("experiments.report") / "templates" / name).read_text(encoding="utf-8")
+    return (TEMPLATES / name).read_text(encoding="utf-8")
 
 
 def _style() -> Markup:

@@ -99,7 +99,7 @@ class ViewGroup:
 
 def view_groups(store: Store, labels: Sequence[str]) -> list[ViewGroup]:
     """Each label's pictures of the first frame that has any, in the order of ``KINDS``."""
-    from experiments.views.kinds import KINDS, kind_of
+    from experiments.schema.view_kinds import KINDS, kind_of
 
     out = []
     order = list(KINDS)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import comb
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
@@ -19,7 +19,7 @@ import pandas as pd
 from experiments.metrics.registry import METRICS
 from experiments.results.store import Store, labels_in_order
 from experiments.results.summary import load_frames
-from experiments.results.tables import Row
+from experiments.results.tables import Row, aligned
 from wkernels.errors import InputError
 
 CONFIDENCE = 0.95
@@ -52,9 +52,33 @@ class Interval:
         return self.low <= 1.0 <= self.high
 
 
+class Compared(Protocol):
+    """How two result folders differ.
+
+    Attributes:
+        columns: Of ``rows``.
+        rows: One per thing that both have.
+    """
+
+    @property
+    def columns(self) -> tuple[str, ...]: ...
+
+    @property
+    def rows(self) -> list[dict[str, Any]]: ...
+
+    def regressions(self, percent: float) -> list[str]:
+        """What grew worse by more than that beyond doubt, or is missing in B; with the reason."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Everything, for programs."""
+
+    def text(self) -> str:
+        """Everything, for people."""
+
+
 @dataclass(frozen=True)
 class Comparison:
-    """What ``compare`` finds.
+    """What ``compare`` finds of two runs of one scene; a ``Compared``.
 
     Attributes:
         rows: One per common label, keys of ``COLUMNS``; a missing value is None.
@@ -66,6 +90,15 @@ class Comparison:
     only_a: list[str]
     only_b: list[str]
     notes: list[str]
+    columns: tuple[str, ...] = COLUMNS
+
+    def as_json(self) -> dict[str, Any]:
+        return {"rows": self.rows, "only_a": self.only_a, "only_b": self.only_b, "notes": self.notes}
+
+    def text(self) -> str:
+        lines = [*(f"  {note}" for note in self.notes), "", aligned(_rows_for_people(self.rows))]
+        only = (("A", self.only_a), ("B", self.only_b))
+        return "\n".join(lines + [f"only in {name}: {', '.join(labels)}" for name, labels in only if labels])
 
     def regressions(self, percent: float) -> list[str]:
         """Labels whose error grew by more than ``percent`` beyond doubt, or that B lost; with the reason."""
@@ -188,7 +221,7 @@ def _error_verdict(own: list[pd.DataFrame], error: Interval | None, same_referen
     return "worse" if error.median > 1.0 else "better"
 
 
-def rows_for_people(rows: list[dict[str, Any]]) -> list[list[str]]:
+def _rows_for_people(rows: list[dict[str, Any]]) -> list[list[str]]:
     """A head and one line per label: medians, ratio with its interval, verdict."""
 
     def text(row: Row, name: str) -> list[str]:

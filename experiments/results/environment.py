@@ -17,12 +17,14 @@ from typing import TYPE_CHECKING, Any
 import algorithms
 import wkernels
 from algorithms.plugins import FAMILIES
+from algorithms.projections.schema import PARTS
+from algorithms.projections.table import outside_files
 from experiments.metrics.registry import METRICS
 from wkernels import __version__
 
 if TYPE_CHECKING:
-    from experiments.kinds.walkthrough.config import Experiment
     from experiments.rendering.engine import Engine
+    from experiments.schema.experiment import Experiment
 
 _PACKAGES = ("warp-lang", "numpy", "scipy", "trimesh", "OpenImageIO", "pydantic", "matplotlib", "pandas")
 
@@ -35,6 +37,8 @@ def describe_run(experiment: Experiment, engine: Engine, *, skips: bool) -> dict
         reports; ``environment``: software and machine; ``metrics``: version of each metric's definition.
     """
     light = engine.scene.lights[experiment.light]
+    parts = {str((run.projection or {}).get(key)) for run in experiment.runs for key in PARTS}
+    outside = {f"plugin {what}": file_digest(path) for what, path in outside_files(parts).items()}
     return {
         "identity": describe_identity(
             experiment.to_yaml(),
@@ -44,6 +48,7 @@ def describe_run(experiment: Experiment, engine: Engine, *, skips: bool) -> dict
             threads=engine.threads,
             skips=skips,
             processor=device_name(engine.device),
+            **outside,
         ),
         "run": {
             "name": experiment.name,

@@ -10,16 +10,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments.metrics.registry import METRICS
-from experiments.results.tables import Row, cell, read_table, table_text, write_text
+from experiments.results.tables import Row, aligned, cell, read_table, table_text, write_text
 
 COLUMNS = ("label", "quantity", "published", "ours", "published_ratio", "ours_ratio")
-QUANTITIES = ("frame_ms", "shadow_ms", "fps", *METRICS, "m_x_max", "m_z_max")
-"""What a technique's entry may publish: columns of summary.csv."""
-
-CURVE_QUANTITIES = tuple(f"{m}_{place}" for m in ("m_x", "m_z") for place in ("near", "far", "min", "max"))
-CURVE_QUANTITIES += ("storage_factor",)
-"""What a curve may publish: its errors at the ends of the depth range, the least and the greatest, and S."""
 
 
 def compare_published(
@@ -83,9 +76,7 @@ def published_text(rows: Sequence[Row]) -> str:
     if not rows:
         return ""
     names = [name for name in COLUMNS if any(cell(row.get(name)) for row in rows)]
-    lines = [names, *([_short(row.get(name)) for name in names] for row in rows)]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(names))]
-    return "\n".join("  ".join(text.ljust(w) for text, w in zip(line, widths, strict=True)).rstrip() for line in lines)
+    return aligned([names, *([_short(row.get(name)) for name in names] for row in rows)])
 
 
 def _short(value: Any) -> str:

@@ -14,7 +14,6 @@ import json
 import shutil
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal, Self
 
 from experiments.config.source import load_yaml
@@ -41,11 +40,6 @@ TABLES: Mapping[str, tuple[str, ...]] = {
     "failures": FAILURE_COLUMNS,
 }
 assert set(METRICS) <= set(FRAME_COLUMNS)
-CONVERGENCE_COLUMNS = (
-    "technique", "label", "step", "n", "rmse", "mean_signed_error", "standard_error", "coverage_2se",
-    "over", "p99_error", "reference_standard_error", "penumbra_rmse", "penumbra_standard_error",
-    "n_effective", "zero_standard_error", "receiver_pixels", "penumbra_pixels",
-)  # fmt: skip
 
 RawKind = Literal["visibility", "standard_error"]
 ViewKind = Literal["shaded", "visibility", "error", "standard_error"]
@@ -274,23 +268,6 @@ class Store(ResultTables):
         """Frames of which there is a raw visibility image, ascending."""
         found = (self.out / "images" / image_folder(label)).glob("visibility_*.exr")
         return sorted(int(path.stem.rpartition("_")[2]) for path in found)
-
-
-class ConvergenceStore(Store):
-    """The folder of a run of ``kind: convergence``: images are of steps, a still camera's reference is of step 1."""
-
-    tables: Mapping[str, tuple[str, ...]] = MappingProxyType(
-        {"convergence": CONVERGENCE_COLUMNS, "failures": FAILURE_COLUMNS}
-    )
-    main = "convergence"
-    place = "step"
-
-    def _images_of(self, row: Mapping[str, str]) -> list[Path]:
-        step, run = int(row["step"]), self.environment()["run"]
-        if row["over"] and step not in run.get("steps", []):
-            return []
-        shown = step if run.get("camera") == "path" else 1
-        return [self.raw(row["label"], "visibility", step), self.raw(None, "visibility", shown)]
 
 
 def image_folder(label: str | None) -> str:

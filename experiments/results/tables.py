@@ -72,6 +72,12 @@ def table_text(columns: Sequence[str], rows: Sequence[Row]) -> str:
     return "".join([_line(columns), *(_line([cell(row.get(name)) for name in columns]) for row in rows)])
 
 
+def aligned(lines: Sequence[Sequence[str]]) -> str:
+    """Cells in columns, for people."""
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines)
+
+
 class Table:
     """An append-only CSV file; a row is on the disk when ``append`` returns.
 

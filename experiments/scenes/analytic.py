@@ -1,10 +1,10 @@
-"""Closed-form visibility of the analytic scenes A1 to A9 (CATALOGUE.md section 0), which the reference is held to.
+"""Closed-form visibility of the analytic scenes A1 to A9 (docs/glossary.md), which the reference is held to.
 
 Every function maps receiver points ``position_ws`` (float64, shape (..., 3), scene units) to visibility in [0, 1],
 shape (...,): 1 = the whole light is visible. The keyword defaults are the numbers of ``configs/scenes/a*.yaml``.
 Lights and occluders are parallel to the receiver plane y = 0 and centred on the y axis unless a keyword says
-otherwise; heights are above y = 0, so the catalogue's distances from the light are ``zb = light_height -
-blocker_height`` and ``zr = light_height - y``.
+otherwise; heights are above y = 0, so distances from the light are ``zb = light_height - blocker_height`` and
+``zr = light_height - y``.
 """
 
 from __future__ import annotations

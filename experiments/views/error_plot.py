@@ -66,7 +66,7 @@ def closed_form(subject: Subject, borders: np.ndarray) -> tuple[np.ndarray, np.n
         return "the light is a point"
     if not subject.follows_eye:
         return "the maps do not follow the eye"
-    if subject.settings.get("stabilise", "none") != "none":
+    if subject.settings.stabilise != "none":
         return "a stabilised map covers more than the frustum"
     if len(subject.views) != len(borders) - 1:
         return "the maps are not one per split"
@@ -141,7 +141,7 @@ def _draw(
     _set_scales(axes, found, closed)
     _write_borders(axes, marks)
     near, far = float(found.borders[0]), float(found.borders[-1])
-    shares = [float(subject.settings.get(key, 0.0) or 0.0) for key in ("pseudo_near", "pseudo_far")]
+    shares = [subject.settings.pseudo_near, subject.settings.pseudo_far]
     where = axes.get_xaxis_transform()
     for share, plane, tag in zip(shares, pseudo_planes(near, far, *shares), ("PN", "PF"), strict=True):
         if share > 0.0:

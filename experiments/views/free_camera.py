@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from experiments.config.models import ThirdPerson
+from experiments.schema.models import ThirdPerson
 from wkernels.scene.model import Camera
 from wkernels.scene.views import HostView
 

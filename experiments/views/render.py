@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from experiments.results.images import write_png
 from experiments.results.store import Store
 from experiments.results.tables import write_text
+from experiments.schema.view_kinds import KINDS, picture_names
 from experiments.views import error_plot, light_maps, space, surfaces
-from experiments.views.kinds import KINDS, picture_names
 from experiments.views.sheet import Sheet, composed
 from experiments.views.subject import Subject
 from experiments.views.words import projection_in_words
@@ -20,9 +20,9 @@ from experiments.views.words import projection_in_words
 if TYPE_CHECKING:
     import numpy as np
 
-    from experiments.config.techniques import TechniqueRun
-    from experiments.kinds.walkthrough.config import Experiment
     from experiments.rendering.engine import FrameLike, WarpEngine
+    from experiments.schema.experiment import Experiment
+    from experiments.schema.techniques import TechniqueRun
     from wkernels.frame.session import Session
 
 Skipped = tuple[str, str, int]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from experiments.config.models import Reference, Views
-from experiments.config.techniques import TechniqueRun
-from experiments.kinds.walkthrough.config import Experiment
+from algorithms.projections.schema import read_projection
 from experiments.rendering.engine import FrameLike, WarpEngine
 from experiments.rendering.reference import AREA_TECHNIQUE, POINT_TECHNIQUE
+from experiments.schema.experiment import Experiment
+from experiments.schema.models import Reference, Views
+from experiments.schema.techniques import TechniqueRun
 from experiments.views.bodies import frustum_between
 from experiments.views.free_camera import free_camera
 from wkernels.analysis.light_layers import chosen_layers
@@ -68,7 +69,7 @@ class Subject:
         views: The light's views, one a layer; empty where the technique reads no light map.
         light_ws: The light sample (4,) that they belong to, rebased world.
         eye: The eye's view, its near plane where the maps have it.
-        settings: The projection as the experiment file has it; empty for the plainest.
+        settings: What the projection was asked for.
     """
 
     def __init__(
@@ -86,7 +87,7 @@ class Subject:
         self.experiment, self.engine, self.run, self.frame = experiment, engine, run, frame
         self.session, self.reference = session, reference
         self.geometry = engine.geometry
-        self.settings: Mapping[str, Any] = run.projection or {}
+        self.settings = read_projection(run.projection or {})
         look = session.shown
         self.eye = (look and session.near_plane.used) or session.eye()
         self.views: list[HostView] = list(look.views) if look else []
@@ -250,7 +251,7 @@ class Subject:
     @cached_property
     def depths(self) -> tuple[float, float]:
         """Eye depths of what the eye sees of the receivers' box, which is what maps that follow the eye cover."""
-        if self.whole.is_empty or self.settings.get("adjust", True) is False:
+        if self.whole.is_empty or not self.settings.adjust:
             return self.eye.near, self.eye.far
         near, far = depth_range(self.whole.vertices, self.eye)
         return (near, far) if near < far else (self.eye.near, self.eye.far)

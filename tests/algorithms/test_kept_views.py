@@ -13,20 +13,11 @@ from compare import assert_twin, rmse
 from sessions import open_session, render_frames, small_technique, technique, true_visibility, walk
 from test_shadow_buffer import EYE, HEIGHT, WIDTH, fetch_twin, ground_depth, ray
 
-from wkernels.device.lanes import uses_lanes
 from wkernels.device.launch import launch
 from wkernels.scene.model import Camera
 from wkernels.scene.views import View
-from wkernels.temporal.shadow_buffer import step as shadow_buffer_step
-from wkernels.temporal.shadow_buffer.kept_views import (
-    PROBE,
-    PUT_ASIDE,
-    SEE,
-    KeptViews,
-    ViewShelf,
-    fetch_kept,
-    pull_view_shelf,
-)
+from wkernels.temporal.shadow_buffer.buffer_shelf import PROBE, PUT_ASIDE, SEE, BufferShelf, pull_shelf
+from wkernels.temporal.shadow_buffer.earlier_buffers import EarlierBuffers, fetch_earlier
 from wkernels.temporal.shadow_buffer.record import BILINEAR, TEXEL_TYPES
 
 STEPS = int(BILINEAR)
@@ -35,9 +26,9 @@ MAP = {"resolution": 512}
 
 
 @wp.kernel
-def fetch_all(first: int, kept: KeptViews, positions: wp.array(dtype=wp.vec3), out: wp.array(dtype=wp.vec3)):
+def fetch_all(first: int, kept: EarlierBuffers, positions: wp.array(dtype=wp.vec3), out: wp.array(dtype=wp.vec3)):
     i = first + wp.tid()
-    record = fetch_kept(kept, positions[i], wp.vec3(0.0, 1.0, 0.0), 0.01, 0.0, 256.0)
+    record = fetch_earlier(kept, positions[i], wp.vec3(0.0, 1.0, 0.0), 0.01, 0.0, 256.0)
     out[i] = wp.vec3(record.rho, record.n, record.blocker_rise)
 
 
@@ -55,7 +46,7 @@ def test_the_buffer_that_knows_most_is_read(device: str) -> None:
     slots[2][: HEIGHT // 2, :, 2] *= -1.0  # shadows of movers
     places = rng.integers(256, 256 * np.array([WIDTH - 1, HEIGHT - 1]), (400, 2)) / 256 + 0.3 / 256
     positions = EYE.eye_ws + ground_depth(*places.T)[:, None] * ray(*places.T)
-    kept = KeptViews()
+    kept = EarlierBuffers()
     kept.count = 3
     kept.texels = wp.array(np.stack(slots), dtype=wp.vec4, device=device)
     kept.views = wp.array([EYE.to_device()] * 3, dtype=View, device=device)
@@ -114,7 +105,7 @@ def test_slots_go_to_what_is_new_and_well_known(device: str) -> None:
     def probes(n: float) -> wp.array:
         return wp.full((2, 2), wp.vec4(0.0, 0.0, 0.0, n), dtype=wp.vec4, device=device)
 
-    shelf = ViewShelf()
+    shelf = BufferShelf()
     assert shelf.choose(4.0, [], [], 2) == 0
     shelf.points = [probes(8.0)]
     assert shelf.choose(4.0, [0.2], [0.1], 2) == 1, "a free one"
@@ -153,25 +144,6 @@ def test_after_a_cut_back_the_error_is_that_before_the_cut(name: str, buffer: st
     assert len(held) == 1 and held[0].capacity == 16 * held[0].shape[1] * held[0].shape[2]
 
 
-def test_in_lanes_a_cut_back_finds_the_same(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    if not uses_lanes(device):
-        pytest.skip("lane kernels run on the CPU only")
-    lamp = small.light("rectangle", (2.0, 8.0, 1.0), 2.5)
-    ground = small.mesh("ground", small.plane(80.0))
-    scene = small.scene([ground, *small.cluttered(lamp).meshes[1:]], lamp, lambda i: a_b_a(i + 20))
-    ends = []
-    for lanes in (False, True):
-        monkeypatch.setattr(shadow_buffer_step, "uses_lanes", lambda device, lanes=lanes: lanes)
-        session = open_session(scene, device, size=SIZE)
-        out = render_frames(session, technique("tc_soft_paper", kept_views=2, **MAP), 31)
-        ends.append((out[-1].visibility, session.history("shadow buffer", lambda: None).previous.numpy()))
-    (plain, held), (run, held_run) = ends
-    assert (held[..., 1] == 21.0).mean() > 0.5, "what was known before the cut"
-    # a texel that just passes or just fails its depth test
-    assert (np.abs(held_run - held).max(axis=-1) > 1e-3).mean() < 0.01
-    assert (np.nan_to_num(np.abs(run - plain)) > 1e-4).mean() < 0.01
-
-
 def test_a_frame_is_the_same_however_often_it_is_rendered(device: str) -> None:
     lamp = small.light("rectangle", (2.0, 8.0, 1.0), 2.5)
     session = open_session(small.box_on_ground(lamp, a_b_a), device, size=SIZE)
@@ -183,7 +155,7 @@ def test_a_frame_is_the_same_however_often_it_is_rendered(device: str) -> None:
             images.append(session.render(made).visibility)
         np.testing.assert_array_equal(*images)
         session.advance()
-    assert pull_view_shelf(session, [session.light]).on_device.count == 1
+    assert pull_shelf(session, [session.light]).on_device.count == 1
 
 
 @pytest.mark.parametrize("name", ["tc_soft_paper", "tc_soft_thesis"])
@@ -228,8 +200,8 @@ def test_a_light_that_moves_voids_what_was_kept(device: str) -> None:
     scene = small.box_on_ground(lamp, a_b_a)
     session = open_session(scene, device, size=SIZE)
     render_frames(session, technique("tc_soft_paper", kept_views=4, **MAP), 48)
-    held = pull_view_shelf(session, [session.light])
+    held = pull_shelf(session, [session.light])
     assert held.on_device.count == 1 and len(held.views) == 1
     session.begin(48)
     session.render(technique("tc_soft_paper", resolution=64, kept_views=4))
-    assert pull_view_shelf(session, [session.light]).on_device.count == 0
+    assert pull_shelf(session, [session.light]).on_device.count == 0

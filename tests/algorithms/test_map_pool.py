@@ -40,7 +40,7 @@ def test_tiles_hold_the_image(resolution: int, nearest: float, device: str) -> N
     pools = [allocate_pool(4, 1, resolution, device) for _ in range(2)]
     store_layers(drawn, 2, least, 1, pools[0], None)
     tiles = pools[1].tiles
-    launch(store_tiles, (tiles, tiles, 3), [drawn, 2, least, 1, pools[1]], device=device)
+    launch(store_tiles, (tiles, tiles, 3), [drawn, 2, least, 1, resolution, tiles], [pools[1].depth], device=device)
     part = values[:resolution, resolution:]
     if nearest:
         part = np.where(np.isinf(part), part, nearest / (1.0 - part))

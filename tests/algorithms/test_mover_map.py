@@ -62,7 +62,7 @@ def test_maps_hold_the_casters_that_are_asked_for(projection: dict[str, Any] | N
     names = {"all": tuple(m.name for m in scene.meshes), "still": ("boxes", "sphere"), "moving": ("terrain",)}
     for casters, wanted in names.items():
         session = open_session(scene, device, projection=projection)
-        views = session.light_map(64, casters=casters).map
+        views = session.light_map(64, caster_set=casters).map
         alone = open_session(only(scene, *wanted), device, projection=projection)
         expected, found = depths_on_host(alone.light_map(64).map), depths_on_host(views)
         np.testing.assert_array_equal(found, expected)
@@ -75,7 +75,7 @@ def test_maps_hold_the_casters_that_are_asked_for(projection: dict[str, Any] | N
 def test_the_region_of_movers_holds_all_of_their_texels(device: str) -> None:
     for lamp in (LAMP, small.light("directional", (2.0, 8.0, 1.0)), small.light("sphere", (0.2, 1.6, 0.5), 0.3)):
         session = open_session(overlapping(lamp), device)
-        light_map = session.light_map(128, casters="moving").map
+        light_map = session.light_map(128, caster_set="moving").map
         regions = mover_regions(session, light_map)
         for layer, depth in enumerate(depths_on_host(light_map)):
             rows, columns = np.nonzero(np.isfinite(depth))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import sys
 from dataclasses import replace
 from typing import Any
 
@@ -11,11 +10,8 @@ import numpy as np
 import pytest
 import small_scenes as small
 from compare import rmse
-from sessions import SIZE, open_session, render_frames, small_technique, true_visibility, walk
+from sessions import SIZE, open_session, small_technique, true_visibility, walk
 
-from algorithms.plugins import find
-from experiments.scenes.loader import load_scene
-from wkernels.device.lanes import uses_lanes
 from wkernels.frame.session import FrameResult
 from wkernels.scene.lights import DiscLight, Light
 
@@ -26,31 +22,6 @@ LIGHTS: dict[str, Light] = {
     "orthographic": small.light("directional", (1.0, 8.0, 0.5)),
     "six faces": DiscLight(center=np.array([0.2, 3.2, 1.5]), normal=np.array([0.0, -1.0, 0.0]), radius=0.2),
 }
-
-
-# ---- the pool -----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", ["overlap", "moving_blocker"])
-def test_lanes_remember_what_the_plain_kernels_do(name: str, monkeypatch: pytest.MonkeyPatch, device: str) -> None:
-    if not uses_lanes(device):
-        pytest.skip("lane kernels run on the CPU only")
-    module = sys.modules[find(NAME).__module__]
-    scene = load_scene(f"configs/scenes/{name}.yaml")
-    sessions = {lanes: open_session(scene, device, size=(150, 84)) for lanes in (False, True)}
-    made, worst, soft = small_technique(NAME, samples=8), 0.0, 0
-    for frame in range(0, 60, 5):
-        images = {}
-        for lanes, session in sessions.items():
-            monkeypatch.setattr(module, "uses_lanes", lambda device, lanes=lanes: lanes)
-            (images[lanes],) = render_frames(session, made, 1, frame)
-        difference = np.abs(images[True].visibility - images[False].visibility)
-        errors = np.abs(images[True].standard_error - images[False].standard_error)
-        seen = np.isfinite(difference)
-        # a texel of history that just passes its depth test changes what a pixel remembers
-        worst = max(worst, float((difference[seen] > 1e-4).mean()), float((errors[seen] > 1e-4).mean()))
-        soft += int(((images[True].visibility[seen] > 0.1) & (images[True].visibility[seen] < 0.9)).sum())
-    assert worst <= 0.01 and soft > 1000
 
 
 # ---- convergence --------------------------------------------------------------------------------------------------------

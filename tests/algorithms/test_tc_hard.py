@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -17,7 +16,6 @@ from sessions import SIZE, open_session, render, render_frames, small_technique,
 from algorithms.plugins import find
 from experiments.metrics.carry_over import carry_over
 from experiments.scenes.loader import load_scene
-from wkernels.device.lanes import uses_lanes
 from wkernels.frame.session import FrameResult, Session
 from wkernels.scene.lights import Light, PointLight
 from wkernels.scene.model import Scene
@@ -279,35 +277,7 @@ def remembered_shadow(scene: Scene, device: str) -> np.ndarray:
     return (remembered(session) == 0.0) & (session.gbuffer(0.05).mesh.numpy() == 0)
 
 
-# ---- lanes, input -----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "params", [{"scale_bias": True}, {"blend": "published", "power": 4}, {"history": "nearest", "bias": "normal"}]
-)
-@pytest.mark.parametrize("scene", ["overlap", "moving_blocker"])
-def test_lanes_remember_what_the_plain_kernel_does(
-    scene: str, params: dict[str, Any], device: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Along a path with movers, disocclusion and history at fractions of a pixel."""
-    if not uses_lanes(device):
-        pytest.skip("lane kernels run on the CPU only")
-    module = sys.modules[find(NAME).__module__]
-    loaded = load_scene(f"configs/scenes/{scene}.yaml")
-    running = {lanes: open_session(loaded, device, size=(150, 84)) for lanes in (False, True)}
-    made = small_technique(NAME, **params)
-    settled = 0
-    for frame in range(0, 36, 3):
-        out = {}
-        for lanes, session in running.items():
-            monkeypatch.setattr(module, "uses_lanes", lambda device, lanes=lanes: lanes)
-            out[lanes] = render_frames(session, made, 1, frame)[0].visibility
-        seen = np.isfinite(out[False])
-        np.testing.assert_array_equal(seen, np.isfinite(out[True]))
-        # a texel of history that just passes or fails its depth test, or a comparison that is a tie, changes a pixel
-        assert (np.abs(out[True] - out[False])[seen] > 1e-4).mean() <= 0.01
-        settled += int(((out[True] > 0.01) & (out[True] < 0.99)).sum())
-    assert settled > 80
+# ---- input ----------------------------------------------------------------------------------------------------------------
 
 
 def test_nothing_casts(device: str) -> None:

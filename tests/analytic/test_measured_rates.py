@@ -7,7 +7,8 @@ import pytest
 import small_scenes
 
 from algorithms.projections.composition import compose
-from algorithms.projections.projection import WarpShape, warps
+from algorithms.projections.projection import WarpShape
+from algorithms.projections.table import warps
 from wkernels.analysis.perspective_error import TiltedFrustum
 from wkernels.analysis.sampling_rate import SamplingRate, sampling_rate
 from wkernels.frame.session import Session

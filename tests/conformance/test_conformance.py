@@ -1,6 +1,8 @@
-"""Every check on every technique; both are found by themselves."""
+"""Every check on every technique; both are found by themselves. With ``--plugin FILE``, on that file's alone."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import declared  # noqa: F401  (registers its checks)
 import over_time  # noqa: F401
@@ -9,21 +11,25 @@ import rendered  # noqa: F401
 import skips  # noqa: F401
 from rig import CHECKS, Check, run_check
 
-from algorithms.plugins import FAMILIES, ROOT, load_all
+from algorithms.plugins import FAMILIES, ROOT, file_of, load_all
 from algorithms.technique import Technique
 
 TECHNIQUES = load_all()
 
 
-@pytest.mark.parametrize(
-    ("technique", "check"),
-    [
-        pytest.param(technique, check, id=f"{name}-{check.name}")
-        for name, technique in TECHNIQUES.items()
-        for check in CHECKS.values()
-        if check.applies(technique)
-    ],
-)
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    if "technique" in metafunc.fixturenames:
+        files = [Path(file).resolve() for file in metafunc.config.getoption("--plugin")]
+        cases = [
+            pytest.param(technique, check, id=f"{name}-{check.name}")
+            for name, technique in (load_all(files) if files else TECHNIQUES).items()
+            if not files or file_of(technique).resolve() in files
+            for check in CHECKS.values()
+            if check.applies(technique)
+        ]
+        metafunc.parametrize(("technique", "check"), cases)
+
+
 def test_technique_conforms(technique: type[Technique], check: Check, device: str) -> None:
     reason = run_check(check, technique, device)
     if reason is not None:

@@ -10,8 +10,9 @@ import numpy as np
 from pydantic import BaseModel
 
 from algorithms.technique import Needs
-from experiments.config.techniques import TechniqueRun
-from experiments.kinds.walkthrough.config import Experiment, Image, Reference
+from experiments.schema.experiment import Experiment
+from experiments.schema.models import Image, Reference
+from experiments.schema.techniques import TechniqueRun
 from wkernels.analysis.sampling_rate import MapUse, SamplingRate
 from wkernels.frame.session import FrameResult
 from wkernels.scene.lights import RectangleLight

@@ -27,11 +27,12 @@ import numpy as np
 import OpenImageIO
 from fake_engine import FakeEngine, make_experiment, make_run
 
-import experiments.report
-from experiments.kinds.walkthrough.config import Experiment, load_experiment
+import experiments.kinds.walkthrough.report
+from experiments.kinds.walkthrough.config import load_experiment
 from experiments.kinds.walkthrough.run import run
 from experiments.results.images import read_exr
 from experiments.results.store import Store
+from experiments.schema.experiment import Experiment
 
 CONFIG = """
 kind: walkthrough
@@ -56,7 +57,7 @@ techniques:
 repeats: 2
 """
 # what a run imports on its way would be imported in every child
-IMPORTED = (matplotlib.colors, OpenImageIO, experiments.report)
+IMPORTED = (matplotlib.colors, OpenImageIO, experiments.kinds.walkthrough.report)
 TIMES = ("frame_ms", "shadow_ms", "fps", "frame_ms_q1", "frame_ms_q3", "shadow_ms_q1", "shadow_ms_q3", "ms")
 
 

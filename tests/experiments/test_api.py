@@ -1,4 +1,4 @@
-"""The Python calls of DESIGN section 7."""
+"""The Python calls: ``render_visibility`` and ``reference_visibility``."""
 
 import subprocess
 import sys
@@ -11,7 +11,7 @@ import pytest
 import experiments
 from algorithms.plugins import load_all
 from algorithms.projections.composition import compose
-from algorithms.projections.projection import FOLDER, fits, stabilisers, warps
+from algorithms.projections.table import FOLDER, fits, stabilisers, warps
 from experiments import reference_visibility, render_visibility
 from experiments.scenes import load_scene
 from wkernels.errors import InputError
@@ -180,7 +180,7 @@ def test_projection_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         assert table and all(part.name == name and part.paper for name, part in table.items())
     (tmp_path / "fits").mkdir()
     (tmp_path / "fits" / "absent.py").write_text("", encoding="utf-8")
-    monkeypatch.setattr("algorithms.projections.projection.FOLDER", tmp_path)
+    monkeypatch.setattr("algorithms.projections.table.FOLDER", tmp_path)
     with pytest.raises(InputError, match=r"absent\.py: cannot be imported"):
         compose()
 

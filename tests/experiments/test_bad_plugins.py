@@ -11,7 +11,8 @@ import pytest
 from algorithms.plugins import load_all
 from experiments import cli
 from experiments.kinds.walkthrough.config import load_experiment
-from experiments.kinds.walkthrough.run import TechniquesFailed, run
+from experiments.kinds.walkthrough.run import run
+from experiments.results.failures import TechniquesFailed
 from experiments.results.store import Store
 
 PLUGIN = '''\

@@ -187,7 +187,7 @@ def test_run_hands_its_options_to_the_runner(wkernels: Run, monkeypatch: pytest.
 
 
 def test_failed_techniques_are_status_1(wkernels: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    from experiments.kinds.walkthrough.run import TechniquesFailed
+    from experiments.results.failures import TechniquesFailed
 
     def failing(*_: object, **__: object) -> None:
         raise TechniquesFailed(Path("out/e"), [{"label": "pcf", "frame": "2", "error": "ValueError: no"}])

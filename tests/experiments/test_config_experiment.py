@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from algorithms.technique import Needs, Params, setting
-from experiments.config.needs import is_closed, is_planar, unmet_need
-from experiments.kinds.walkthrough.config import Experiment, Reference, load_experiment
+from experiments.kinds.walkthrough.config import load_experiment
 from experiments.metrics.registry import MAP_METRICS
 from experiments.scenes import load_scene
+from experiments.schema.experiment import Experiment
+from experiments.schema.models import Reference
+from experiments.schema.needs import is_closed, is_planar, unmet_need
 from wkernels.errors import InputError
 from wkernels.scene.model import Mesh
 
@@ -206,7 +208,7 @@ def test_a_mistake_is_named_with_file_line_and_key(load: Load, text: str, expect
         (
             "walkthrough",
             "bench",
-            "e.yaml:1: kind: kind 'bench' is not available yet; available: walkthrough, convergence, sweep, stability, savings, analysis.",
+            "e.yaml:1: kind: kind 'bench' is not available yet; available: analysis, convergence, savings, stability, sweep, walkthrough.",
         ),
         (
             "walkthrough",

@@ -9,7 +9,7 @@ import pytest
 from test_config_experiment import PLUGINS, SCENE
 
 from experiments.kinds.sweep.config import Sweep, load_sweep
-from experiments.kinds.sweep.run import explain_sweep
+from experiments.kinds.sweep.explain import explain_sweep
 from experiments.kinds.walkthrough.config import load_experiment
 from wkernels.errors import InputError
 

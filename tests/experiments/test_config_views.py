@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from experiments.kinds.walkthrough.config import Experiment, load_experiment
-from experiments.views.kinds import KINDS
+from experiments.kinds.walkthrough.config import load_experiment
+from experiments.schema.experiment import Experiment
+from experiments.schema.view_kinds import KINDS
 from wkernels.errors import InputError
 
 HEAD = """\

@@ -20,11 +20,12 @@ from algorithms.technique import Needs
 from experiments import cli
 from experiments.kinds.convergence.config import Convergence, Estimates, held, load_convergence
 from experiments.kinds.convergence.estimates import estimate_rows, estimates_text
+from experiments.kinds.convergence.explain import explain_convergence
 from experiments.kinds.convergence.report import fitted_slope, load_convergence_rows, summarise_convergence
-from experiments.kinds.convergence.run import explain_convergence, measure, run_convergence
-from experiments.kinds.walkthrough.run import TechniquesFailed
+from experiments.kinds.convergence.run import measure, run_convergence
+from experiments.kinds.convergence.store import CONVERGENCE_COLUMNS, ConvergenceStore
+from experiments.results.failures import TechniquesFailed
 from experiments.results.images import read_exr
-from experiments.results.store import CONVERGENCE_COLUMNS, ConvergenceStore
 from wkernels.errors import InputError
 
 SCENE = """\

@@ -9,7 +9,7 @@ import pytest
 from experiments.kinds.convergence.config import Convergence, load_convergence
 from experiments.kinds.convergence.report import load_convergence_rows
 from experiments.kinds.convergence.run import run_convergence
-from experiments.results.store import ConvergenceStore
+from experiments.kinds.convergence.store import ConvergenceStore
 
 SCENE = Path(__file__).parents[2] / "configs" / "scenes" / "static_moving_overlap.yaml"
 TEXT = f"""\

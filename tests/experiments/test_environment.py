@@ -166,8 +166,8 @@ def test_a_disk_that_is_full_is_one_message_where_nothing_is_lost(
     def full(path: Path, text: str) -> None:
         raise OSError(28, "No space left on device", str(path))
 
-    for module in ("analysis", "estimates"):
-        monkeypatch.setattr(f"experiments.{module}.write_text", full)
+    for module in ("analysis.run", "convergence.estimates"):
+        monkeypatch.setattr(f"experiments.kinds.{module}.write_text", full)
     for kind in ("analysis", "estimates"):
         with pytest.raises(InputError, match=rf"cannot write results here \(No space left on device: {kind}\.csv\)"):
             (tmp_path / kind).mkdir()

@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from fake_engine import FakeEngine, make_experiment, make_run
 
-from experiments.kinds.walkthrough.run import TechniquesFailed, run
+from experiments.kinds.walkthrough.run import run
 from experiments.results import images
+from experiments.results.failures import TechniquesFailed
 from experiments.results.images import read_exr, write_exr, write_jpeg, write_png
 from experiments.results.store import Store
 from experiments.results.tables import Table, read_table, write_text
@@ -348,7 +349,7 @@ def test_a_report_that_fails_loses_nothing(tmp_path: Path, monkeypatch: pytest.M
     def fail(out: Path) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("experiments.report.write_report", fail)
+    monkeypatch.setattr("experiments.kinds.walkthrough.report.write_report", fail)
     e = experiment()
     with pytest.raises(TechniquesFailed, match="the report failed: ZeroDivisionError"):
         run(e, tmp_path / "out", engine=FakeEngine(e))

@@ -12,9 +12,9 @@ import pytest
 from test_convergence import TEXT, Engine, Load, load, run
 
 from experiments.kinds.convergence import run as convergence
-from experiments.kinds.walkthrough.run import TechniquesFailed
+from experiments.kinds.convergence.store import ConvergenceStore
+from experiments.results.failures import TechniquesFailed
 from experiments.results.images import read_exr
-from experiments.results.store import ConvergenceStore
 from wkernels.errors import InputError
 
 assert load  # the fixture

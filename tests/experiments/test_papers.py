@@ -7,13 +7,10 @@ from pathlib import Path
 import pytest
 
 from algorithms.plugins import load_all
-from experiments.config.kinds import kind_of
-from experiments.kinds.analysis.config import load_analysis
-from experiments.kinds.convergence.config import Convergence, Estimates, load_convergence
-from experiments.kinds.savings.config import load_savings
-from experiments.kinds.stability.config import load_stability
-from experiments.kinds.sweep.config import load_sweep
-from experiments.kinds.walkthrough.config import Experiment, load_experiment
+from experiments.kinds.kind import kind_of_file
+from experiments.kinds.sweep.config import Sweep
+from experiments.kinds.walkthrough.config import load_experiment
+from experiments.schema.experiment import Experiment
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 FILES = sorted([*CONFIGS.glob("papers/*.yaml"), *CONFIGS.glob("experiments/*.yaml")])
@@ -21,25 +18,16 @@ FILES = sorted([*CONFIGS.glob("papers/*.yaml"), *CONFIGS.glob("experiments/*.yam
 
 @pytest.mark.parametrize("file", FILES, ids=[file.stem for file in FILES])
 def test_experiment_file_loads(file: Path) -> None:
-    kind = kind_of(file)
-    if kind == "analysis":
-        assert load_analysis(file).curves
-    elif kind == "convergence":
-        assert isinstance(load_convergence(file), Convergence | Estimates)
-    elif kind == "sweep":
-        sweep = load_sweep(file)
-        assert len(sweep.scenes) >= 5 and len(sweep.runs) >= len(load_all())
-        for scene in sweep.scenes:
+    kind = kind_of_file(file)
+    loaded = kind.load(file, [], load_all())
+    assert loaded.name == file.stem and f"kind: {kind.name}" in loaded.to_yaml()
+    if isinstance(loaded, Sweep):
+        assert len(loaded.scenes) >= 5 and len(loaded.runs) >= len(load_all())
+        for scene in loaded.scenes:
             assert scene.experiment.reference is not None and max(scene.experiment.frames) < 100  # all have so many
-    elif kind == "savings":
-        assert load_savings(file, [], load_all()).experiments
-    elif kind == "stability":
-        assert load_stability(file, [], load_all()).cases
-    else:
-        experiment = load_experiment(file)
-        assert isinstance(experiment, Experiment) and experiment.frames
+    elif isinstance(loaded, Experiment):
         # A reference that no rendered frame meets would leave the figure without errors.
-        assert experiment.reference is None or experiment.reference.every <= max(1, len(experiment.frames))
+        assert loaded.reference is None or loaded.reference.every <= max(1, len(loaded.frames))
 
 
 def test_every_figure_of_the_temporal_sources_has_its_file() -> None:

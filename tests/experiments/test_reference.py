@@ -9,7 +9,7 @@ import pytest
 
 from experiments import reference_visibility, render_visibility
 from experiments.rendering import reference
-from experiments.rendering.reference import Reference, ReferenceRenderer, cache_folder, reference_for
+from experiments.rendering.reference import Reference, ReferenceRenderer, cache_folder
 from wkernels.errors import InputError
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.lights import DirectionalLight, DiscLight, Light, PointLight, RectangleLight
@@ -42,7 +42,7 @@ def scene(**light: object) -> Scene:
 
 def render(of: Scene, *, samples: int = 16, frame: int = 0, **changed: object) -> Reference:
     settings: dict[str, object] = {**SIZE, **changed}
-    return reference_for(Geometry(of), samples=samples, frame=frame, **settings)  # type: ignore[arg-type]
+    return ReferenceRenderer(Geometry(of), samples=samples, **settings).render(frame)  # type: ignore[arg-type]
 
 
 @pytest.fixture(autouse=True)
@@ -309,24 +309,3 @@ def test_weighted_samples_are_not_gone_on_with() -> None:
     textured = scene(texture=np.array([[0.0, 1.0], [3.0, 0.5]]))
     render(textured, samples=16)
     assert same(render(textured, samples=40), render(textured, samples=40, cache=False))
-
-
-def test_progressive_references_end_in_the_whole_one() -> None:
-    for of in (scene(), scene(texture=np.array([[0.0, 1.0], [3.0, 0.5]]))):
-        renderer = ReferenceRenderer(Geometry(of), samples=100, cache=False, **SIZE)
-        steps = list(renderer.progressive(0, batch=32))
-        assert [samples for samples, _ in steps] == [32, 64, 96, 100]
-        whole, last = renderer.render(0), steps[-1][1]
-        np.testing.assert_allclose(
-            last.visibility, whole.visibility, atol=0.02 if of.lights[0].texture is not None else 0
-        )
-        errors = [np.nanmean(made.standard_error) for _, made in steps]
-        assert errors == sorted(errors, reverse=True)
-
-
-def test_progressive_references_end_when_they_are_good_enough() -> None:
-    renderer = ReferenceRenderer(Geometry(scene()), samples=10_000, cache=False, **SIZE)
-    *_, (samples, made) = renderer.progressive(0, batch=32, standard_error=0.02)
-    assert 32 <= samples < 10_000
-    assert np.sqrt(np.nanmean(made.standard_error.astype(float) ** 2)) <= 0.02
-    assert len(list(renderer.progressive(0, batch=32, budget_s=0.0))) == 1

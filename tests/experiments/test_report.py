@@ -17,18 +17,19 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from experiments.kinds.walkthrough.explain import explain
-from experiments.kinds.walkthrough.run import TechniquesFailed, run
+from experiments.kinds.walkthrough.report import headline, number, write_report
+from experiments.kinds.walkthrough.run import run
 from experiments.metrics import registry as metrics
-from experiments.report import recompute_metrics, write_report
 from experiments.report.fields import LEVELS, decode, encode, evenly, field_frames
 from experiments.report.labels import place_labels
 from experiments.report.pictures import picture_frames
 from experiments.report.plots import error_vs_time, per_frame
 from experiments.report.style import Look
-from experiments.report.write import headline, number
 from experiments.results import summary
+from experiments.results.failures import TechniquesFailed
 from experiments.results.images import read_exr, write_exr
 from experiments.results.store import Store
+from experiments.results.summary import recompute_metrics
 from wkernels.errors import InputError
 
 

@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.kinds.walkthrough.config import Experiment, load_experiment
+from experiments.kinds.walkthrough.config import load_experiment
 from experiments.kinds.walkthrough.explain import explain
 from experiments.kinds.walkthrough.run import run
 from experiments.results.images import read_exr
 from experiments.results.store import FRAME_COLUMNS, Store
+from experiments.schema.experiment import Experiment
 from wkernels.errors import InputError
 
 SCENE = """

@@ -15,12 +15,13 @@ import numpy as np
 import pytest
 from fake_engine import HEIGHT, WIDTH, FakeEngine, make_experiment, make_run, true_visibility
 
-from experiments.kinds.walkthrough.config import Experiment
 from experiments.kinds.walkthrough.label_run import Timing, pass_medians, timing_columns
-from experiments.kinds.walkthrough.run import TechniquesFailed, run
+from experiments.kinds.walkthrough.run import run
 from experiments.metrics import registry as metrics
+from experiments.results.failures import TechniquesFailed
 from experiments.results.images import read_exr
 from experiments.results.store import FRAME_COLUMNS, TABLES, Store
+from experiments.schema.experiment import Experiment
 from wkernels.errors import InputError
 
 

@@ -16,12 +16,13 @@ from experiments.kinds.savings import run as measured
 from experiments.kinds.savings.config import Savings, load_savings
 from experiments.kinds.savings.report import write_savings_report
 from experiments.kinds.savings.run import COLUMNS, EVERYTHING, run_savings, savings_text
-from experiments.kinds.walkthrough.config import Experiment, load_experiment
+from experiments.kinds.walkthrough.config import load_experiment
 from experiments.kinds.walkthrough.explain import explain
 from experiments.kinds.walkthrough.foreseen import own_omissions, skip_lines
-from experiments.kinds.walkthrough.run import TechniquesFailed
 from experiments.rendering.engine import WarpEngine
+from experiments.results.failures import TechniquesFailed
 from experiments.results.tables import read_table
+from experiments.schema.experiment import Experiment
 from wkernels.errors import InputError
 from wkernels.frame.session import Session
 from wkernels.scene.geometry import Geometry

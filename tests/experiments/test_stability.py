@@ -14,8 +14,9 @@ from algorithms.plugins import load_all
 from algorithms.technique import Technique
 from experiments.kinds.stability.cases import CASES
 from experiments.kinds.stability.config import Stability, load_stability
+from experiments.kinds.stability.explain import explain_stability
 from experiments.kinds.stability.judge import Truth, judge
-from experiments.kinds.stability.run import explain_stability, run_stability, summary_text
+from experiments.kinds.stability.run import run_stability, summary_text
 from experiments.kinds.stability.table import COLUMNS, Stage, breaking_points, concerned, examine
 from experiments.results.tables import read_table
 from wkernels.errors import InputError

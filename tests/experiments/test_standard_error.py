@@ -13,7 +13,7 @@ from experiments.commands.coverage import coverage_table, main
 from experiments.kinds.convergence.config import Convergence, load_convergence
 from experiments.kinds.convergence.report import load_convergence_rows
 from experiments.kinds.convergence.run import run_convergence
-from experiments.results.store import ConvergenceStore
+from experiments.kinds.convergence.store import ConvergenceStore
 
 CONFIG = Path(__file__).parents[2] / "configs" / "experiments" / "standard_error.yaml"
 SMALL = ["image={width: 40, height: 30}", "reference={samples: 2048, every: 63}", "steps=[64]"]

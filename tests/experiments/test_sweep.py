@@ -18,13 +18,14 @@ import pytest
 from fake_engine import PLUGINS, FakeEngine, make_experiment, make_run
 
 from experiments import cli
+from experiments.kinds.kind import kind_of_folder
 from experiments.kinds.sweep.agreement import agree
 from experiments.kinds.sweep.config import Sweep, SweepFile, SweepScene
 from experiments.kinds.sweep.report import write_sweep_report
 from experiments.kinds.sweep.run import SweepFailed, run_sweep
-from experiments.kinds.sweep.store import SweepStore, is_sweep
-from experiments.kinds.walkthrough.config import Experiment
+from experiments.kinds.sweep.store import SweepStore
 from experiments.results.store import TABLES, Store
+from experiments.schema.experiment import Experiment
 from wkernels.errors import InputError
 
 FILE = {"kind": "sweep", "image": {"width": 24, "height": 16}, "scene": "x", "techniques": "all"}
@@ -137,7 +138,7 @@ def test_reporting_again_gives_the_same_tables_and_recomputing_the_same_scores(
         (copy / f"{name}.csv").unlink()
     store = Store(copy / "two")
     store.update_environment(metrics={**store.environment()["metrics"], "acne": 0})
-    assert is_sweep(copy)
+    assert kind_of_folder(copy).name == "sweep"
     assert call(monkeypatch, "report", str(copy), "--recompute") == 0
     assert everything(copy) == everything(reported)
     assert Store(copy / "two").environment()["metrics"]["acne"] > 0
@@ -175,12 +176,10 @@ def test_a_failure_is_a_row_and_the_rest_goes_on(tmp_path: Path) -> None:
 
 
 def test_a_report_that_cannot_be_written_is_a_row_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import experiments.report
-
     def full(out: Path) -> Path:
         raise InputError("the report cannot be written (No space left on device).", file=out)
 
-    monkeypatch.setattr(experiments.report, "write_report", full)
+    monkeypatch.setattr("experiments.kinds.walkthrough.report.write_report", full)
     with pytest.raises(SweepFailed, match=r"'one' failed: InputError: .*No space left"):
         swept(tmp_path, make_sweep(scenes=("one",)), report=True)
     assert len(Store(tmp_path / "one").rows("frames")) == 16 and len(SweepStore(tmp_path).rows("pareto")) == 4
@@ -266,7 +265,7 @@ def test_folders_of_others_are_left_alone(whole: Path, tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="holds other files"):
         swept(tmp_path)
-    assert not is_sweep(whole / "one") and not is_sweep(tmp_path)
+    assert [kind_of_folder(out).name for out in (whole, whole / "one", tmp_path)] == ["sweep"] + 2 * ["walkthrough"]
 
 
 def test_a_fresh_start_forgets_every_scene(tmp_path: Path) -> None:

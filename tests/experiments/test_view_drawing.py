@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import small_scenes
 
-from experiments.config.models import ThirdPerson
+from experiments.schema.models import ThirdPerson
 from experiments.views.bodies import box_of, edges, fill, pixel_rays, spans
 from experiments.views.free_camera import free_camera
 from experiments.views.lines import clip_segment, draw_lines, project, to_pixels

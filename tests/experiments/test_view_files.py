@@ -15,8 +15,8 @@ from experiments.kinds.walkthrough.explain import explain
 from experiments.kinds.walkthrough.run import run
 from experiments.results.images import read_exr, read_png
 from experiments.results.store import Store
+from experiments.schema.view_kinds import KINDS, kind_of, picture_names
 from experiments.views import render
-from experiments.views.kinds import KINDS, kind_of, picture_names
 from experiments.views.subject import Subject
 
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -31,6 +31,7 @@ class Focused(Fit):
 
     name = "focused"
     paper = ("stingl2011", "brabec2002", "stamminger2002psm")
+    title = "focused on what the eye sees"
     follows_eye = True
 
     def views(

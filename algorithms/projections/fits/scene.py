@@ -21,6 +21,7 @@ class Scene(Fit):
 
     name = "scene"
     paper = ("williams1978", "stingl2011")
+    title = "fitted to the whole scene"
 
     def views(
         self, light_ws: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int, eye: HostView

@@ -16,6 +16,8 @@ class Arbitrary(Warp):
 
     name = "arbitrary"
     paper = ("stingl2011",)
+    title = "warp of arbitrary strength"
+    takes_distance = True
 
     def distance(self, shape: WarpShape) -> float:
         return (1.0 if shape.distance is None else shape.distance) * shape.extent

@@ -22,6 +22,7 @@ class LispsmNopt(Warp):
 
     name = "lispsm_nopt"
     paper = ("wimmer2004lispsm", "wimmer2006lispsm", "stingl2011")
+    title = "LiSPSM warp (n_opt)"
 
     def distance(self, shape: WarpShape) -> float:
         rise = shape.z_1 - shape.z_0

@@ -24,6 +24,7 @@ class LispsmNrepar(Warp):
 
     name = "lispsm_nrepar"
     paper = ("lloyd2007", "lloyd2008", "stingl2011")
+    title = "LiSPSM warp (n_repar)"
 
     def distance(self, shape: WarpShape) -> float:
         eta, alpha = strength(shape.gamma, shape.half_fov), shape.far / shape.near

@@ -12,6 +12,7 @@ class NoWarp(Warp):
 
     name = "none"
     paper = ("stingl2011",)
+    title = "uniform"
 
     def distance(self, shape: WarpShape) -> float:
         return float(np.inf)

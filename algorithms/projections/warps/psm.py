@@ -23,6 +23,7 @@ class Psm(Warp):
 
     name = "psm"
     paper = ("stamminger2002psm", "stingl2011")
+    title = "PSM warp"
 
     def distance(self, shape: WarpShape) -> float:
         rise = shape.z_1 - shape.z_0

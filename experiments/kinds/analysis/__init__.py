@@ -1,1 +1,1 @@
-"""Kind ``analysis``: aliasing error along the view, from formulas alone."""
+"""``kind: analysis``: perspective aliasing error along the view, from closed forms, without a scene."""

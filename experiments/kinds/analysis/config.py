@@ -9,34 +9,47 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from algorithms.projections.schema import Distance, Projection, Scheme, Share, Splits, WarpName
 from experiments.config.messages import Loc
-from experiments.config.models import Fraction, Scheme, WarpName
 from experiments.config.overrides import apply_overrides
 from experiments.config.source import Source, StrictModel, dump_yaml, load_yaml, validate
-from experiments.config.techniques import check_published
-from experiments.results.published import CURVE_QUANTITIES
-from wkernels.errors import nearest
+from experiments.schema.published import CURVE_QUANTITIES, check_published
+from experiments.schema.techniques import check_projection
 
 
 class AnalysisCamera(StrictModel):
-    """The eye: ``fov_deg`` is vertical, ``near`` and ``far`` in scene units."""
+    """The eye.
+
+    Attributes:
+        fov_deg: Vertical field of view.
+        near, far: Depth range, scene units.
+    """
 
     fov_deg: float = Field(gt=0.0, lt=180.0)
     near: float = Field(gt=0.0)
     far: float = Field(gt=0.0)
 
 
+_PLAIN = Projection()
+
+
 class CurveFile(StrictModel):
-    """One curve, as it is written; ``Curve`` says what the keys mean."""
+    """One curve, as it is written; ``Curve`` says what the other keys mean.
+
+    Attributes:
+        splits: How many.
+        scheme: How the depth range is split.
+        lambda_: 0 = uniform, 1 = logarithmic; of the schemes ``practical`` and ``pseudo``.
+    """
 
     label: str = Field(min_length=1, max_length=100)
-    warp: WarpName = "none"
-    warp_distance: float | None = Field(None, gt=0.0)
-    splits: int = Field(1, ge=1, le=16)
-    scheme: Scheme = "practical"
-    lambda_: Fraction = Field(0.5, alias="lambda")
-    pseudo_near: Fraction = 0.0
-    pseudo_far: Fraction = 0.0
+    warp: WarpName = _PLAIN.warp
+    warp_distance: Distance | None = _PLAIN.warp_distance
+    splits: Splits = _PLAIN.splits
+    scheme: Scheme = _PLAIN.scheme
+    lambda_: Share = Field(_PLAIN.lambda_, alias="lambda")
+    pseudo_near: Share = _PLAIN.pseudo_near
+    pseudo_far: Share = _PLAIN.pseudo_far
     near: float | None = Field(None, gt=0.0)
     far: float | None = Field(None, gt=0.0)
     light_angle_deg: float | None = Field(None, ge=0.0, le=180.0)
@@ -44,7 +57,13 @@ class CurveFile(StrictModel):
 
 
 class AnalysisFile(StrictModel):
-    """An experiment file of ``kind: analysis``."""
+    """An experiment file of ``kind: analysis``.
+
+    Attributes:
+        camera: The eye.
+        light_angle_deg: Angle between light and view direction; 90 = overhead.
+        curves: Lines of the plot.
+    """
 
     kind: Literal["analysis"]
     camera: AnalysisCamera
@@ -63,7 +82,7 @@ class Curve:
         pseudo_near, pseudo_far: Shares of the depth range before and behind the pseudo planes.
         near, far: Depth range that the maps cover: the camera's, unless a focused map covers less.
         light_angle_deg: Angle between light and view direction; 90 = overhead.
-        published: What the source printed, by name of ``experiments.results.published.CURVE_QUANTITIES``.
+        published: What the source printed, by name of ``experiments.schema.published.CURVE_QUANTITIES``.
     """
 
     label: str
@@ -136,24 +155,15 @@ def _read(path: str | Path, overrides: Iterable[str]) -> Source:
 
 
 def _curve(source: Source, loc: Loc, written: CurveFile, file: AnalysisFile, earlier: list[str]) -> Curve:
-    from algorithms.projections.projection import warps
-
     if written.label in earlier:
         raise source.error(f"the label '{written.label}' is taken already.", (*loc, "label"))
-    if written.warp not in warps():
-        raise source.error(f"there is no warp '{written.warp}'." + nearest(written.warp, warps()), (*loc, "warp"))
     near = file.camera.near if written.near is None else written.near
     far = file.camera.far if written.far is None else written.far
     if not file.camera.near <= near < far <= file.camera.far:
         where = "far" if written.far is not None else "near"
         raise source.error(f"the range {near:g} to {far:g} must lie within the camera's, near first.", (*loc, where))
-    if (written.warp == "arbitrary") != (written.warp_distance is not None):
-        why = "is required by the warp 'arbitrary'" if written.warp == "arbitrary" else "needs the warp 'arbitrary'"
-        raise source.error(f"{why}.", (*loc, "warp_distance"))
-    if written.scheme != "pseudo" and (written.pseudo_near or written.pseudo_far):
-        raise source.error("needs the scheme 'pseudo'.", (*loc, "pseudo_near" if written.pseudo_near else "pseudo_far"))
-    if written.pseudo_near + written.pseudo_far >= 1.0:
-        raise source.error("pseudo_near and pseudo_far together must be less than 1.", (*loc, "pseudo_near"))
+    drawn = written.model_dump(by_alias=True, exclude={"label", "near", "far", "light_angle_deg", "published"})
+    check_projection(source, loc, {"fit": "focused", **drawn})
     return Curve(
         label=written.label,
         warp=written.warp,

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from algorithms.projections.projection import WarpShape, warps
+from algorithms.projections.projection import WarpShape
+from algorithms.projections.table import warps
 from experiments.kinds.analysis.config import Analysis, Curve
 from experiments.report.style import INK, Look, log_axis, save, styled
 from experiments.results.environment import describe_identity, describe_machine
@@ -115,19 +116,6 @@ def run_analysis(analysis: Analysis, out: str | Path) -> Path:
     return out / "analysis.csv"
 
 
-def explain_analysis(analysis: Analysis) -> str:
-    """What ``run_analysis`` will do, for people."""
-    lines = [f"Experiment {analysis.name} (analysis)", "", "What will run"]
-    width = max(len(curve.label) for curve in analysis.curves)
-    for curve in analysis.curves:
-        split = f"{curve.splits} splits, {curve.scheme}" if curve.splits > 1 else "1 split"
-        lines.append(
-            f"  {curve.label:<{width}}  warp {curve.warp}; {split}; depths {curve.near:g} to {curve.far:g}; "
-            f"light at {curve.light_angle_deg:g} degrees to the view"
-        )
-    return "\n".join([*lines, "", "Left out", "  everything that is rendered: the curves are closed forms"])
-
-
 def _factors(errors: Errors) -> dict[str, str | int | float]:
     m_x, m_z = float(errors.m_x.max()), float(errors.m_z.max())
     curve = errors.curve
@@ -136,7 +124,7 @@ def _factors(errors: Errors) -> dict[str, str | int | float]:
 
 
 def _quantities(errors: Errors) -> dict[str, float]:
-    """Values of ``experiments.results.published.CURVE_QUANTITIES``."""
+    """Values of ``experiments.schema.published.CURVE_QUANTITIES``."""
     out: dict[str, float] = {}
     for name, m in (("m_x", errors.m_x), ("m_z", errors.m_z)):
         values = (m[0], m[-1], m.min(), m.max())

@@ -15,12 +15,14 @@ import numpy as np
 from pydantic import Field, ValidationError
 from pydantic_core import to_jsonable_python
 
+from algorithms.plugins import load_all
+from algorithms.projections.schema import Projection
 from experiments.config.messages import Loc
-from experiments.config.models import Image, Projection, Reference
-from experiments.config.needs import check_needs, shows_all_lights
 from experiments.config.source import Source, StrictModel, dump_yaml, validate
-from experiments.config.techniques import TechniqueRun, check_projection, expand_techniques
-from experiments.kinds.walkthrough.config import Experiment, open_scene, read_experiment
+from experiments.schema.experiment import Experiment, open_scene, read_experiment
+from experiments.schema.models import Image, Reference
+from experiments.schema.needs import check_runs
+from experiments.schema.techniques import TechniqueRun, expand_techniques
 from wkernels.scene.model import Scene
 
 Axis = Literal["frames", "samples", "none"]
@@ -30,7 +32,12 @@ STEPS = (1, 3, 7, 20, 256)  # the frames of Scherzer 2009, Fig 2
 
 
 class Crop(StrictModel):
-    """The part of the frames that the pictures side by side show, in pixels from the upper left corner."""
+    """The part of the frames that the pictures side by side show.
+
+    Attributes:
+        x, y: Its upper left corner, pixels from that of the frame.
+        width, height: Its size, pixels.
+    """
 
     x: int = Field(ge=0)
     y: int = Field(ge=0)
@@ -45,7 +52,14 @@ class ConvergenceReference(Reference):
 
 
 class ConvergenceFile(StrictModel):
-    """An experiment file of ``kind: convergence``; ``Convergence`` says what the keys mean."""
+    """An experiment file of ``kind: convergence``; ``Convergence`` says what the other keys mean.
+
+    Attributes:
+        scene: A scene file, or its keys.
+        reference: As in a walkthrough, of 4096 samples; ``every`` is in steps.
+        projection: As in a walkthrough.
+        techniques: As in a walkthrough.
+    """
 
     kind: Literal["convergence"]
     scene: str | dict[str, Any]
@@ -62,7 +76,11 @@ class ConvergenceFile(StrictModel):
 
 
 class EstimatesFile(StrictModel):
-    """The small form; ``Estimates`` says what the keys mean."""
+    """The small form.
+
+    Attributes:
+        tests: Shadow tests of one point in order: 1 where the light sample is hidden.
+    """
 
     kind: Literal["convergence"]
     tests: list[Annotated[int, Field(ge=0, le=1)]] = Field(min_length=1, max_length=100_000)
@@ -140,7 +158,7 @@ class Convergence:
             "scene": e.scene.as_posix() if isinstance(e.scene, Path) else e.scene,
             "image": e.image.model_dump(),
             "reference": self.reference.model_dump(),
-            "projection": e.projection.model_dump(by_alias=True) if e.projection else None,
+            "projection": e.projection.written() if e.projection else None,
             "techniques": [self._entry(run) for run in e.runs],
             "camera": self.camera,
             "frame": self.frame,
@@ -175,27 +193,20 @@ def load_convergence(
     source = read_experiment(path, overrides)
     if "tests" in source.data:
         return Estimates(path.stem, tuple(validate(EstimatesFile, source).tests))
-    if plugins is None:
-        from algorithms.plugins import load_all
-
-        plugins = load_all()
+    plugins = load_all() if plugins is None else plugins
     file = validate(ConvergenceFile, source)
     for i in range(1, len(file.steps)):
         if file.steps[i] <= file.steps[i - 1]:
             message = f"steps must rise, {file.steps[i]} follows {file.steps[i - 1]}."
             raise source.error(message, ("steps", i))
     _check_crop(source, file)
-    if file.projection is not None:
-        check_projection(source, ("projection",), file.projection.model_dump(by_alias=True))
-    runs = expand_techniques(source, plugins, file.projection, Projection)
+    runs = expand_techniques(source, plugins, file.projection)
     axes = {run.label: _axis(plugins[run.name], file.camera) for run in runs}
     for run in runs:
         if axes[run.label] == SAMPLES:
             _check_samples(source, run, plugins[run.name], file)
     scene_source, scene = open_scene(source, path.resolve().parent, file.light)
-    for run in runs:
-        check_needs(plugins[run.name], scene, scene.lights[file.light], source=source, loc=run.loc)
-    shows_all_lights(runs, plugins, scene, source)
+    check_runs(runs, plugins, scene, file.light, source)
     last = file.steps[-1]
     experiment = Experiment(
         name=path.stem,

@@ -12,12 +12,12 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from experiments.kinds.convergence.plots import coverage_plot, log_log_plot, picture_sheet
+from experiments.kinds.convergence.store import CONVERGENCE_COLUMNS, ConvergenceStore
 from experiments.report import style
-from experiments.report.page import number, render
+from experiments.report.page import number, record, write_page, writing_report
 from experiments.report.pictures import error_scale_css
 from experiments.report.plots import inline_svg
 from experiments.results.images import ERROR_SCALE, error_view, read_exr, standard_error_view, visibility_view
-from experiments.results.store import CONVERGENCE_COLUMNS, ConvergenceStore
 from experiments.results.tables import table_text, write_text
 from wkernels.errors import InputError
 
@@ -106,7 +106,7 @@ def write_convergence_report(out: str | Path) -> Path:
     if table["coverage_2se"].notna().any():
         figures["coverage"] = coverage_plot(table, look, still=still)
     sheets = _sheets(store, labels, run)
-    try:
+    with writing_report(store.out):
         rows = [{str(key): value for key, value in row.items()} for row in summary.to_dict("records")]
         write_text(store.out / "summary.csv", table_text(SUMMARY_COLUMNS, rows))
         for name, figure in figures.items():
@@ -115,10 +115,7 @@ def write_convergence_report(out: str | Path) -> Path:
             style.save(sheet, store.out / "plots" / name, ("png",))
         svgs = {name: Markup(inline_svg(figure)) for name, figure in figures.items()}
         urls = [(title, _data_url(store.out / "plots" / f"{name}.png")) for name, (title, _) in sheets.items()]
-        write_text(store.out / "report.html", _page(store, table, summary, svgs, urls))
-    except OSError as error:
-        raise InputError(f"the report cannot be written ({error.strerror or error}).", file=store.out) from error
-    return store.out / "report.html"
+    return _write_page(store, table, summary, svgs, urls)
 
 
 def _sheets(store: ConvergenceStore, labels: list[str], run: dict[str, Any]) -> dict[str, tuple[str, Figure]]:
@@ -170,25 +167,24 @@ def _data_url(path: Path) -> str:
     return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
 
 
-def _page(
+def _write_page(
     store: ConvergenceStore,
     table: pd.DataFrame,
     summary: pd.DataFrame,
     svgs: dict[str, Markup],
     sheets: list[tuple[str, str]],
-) -> str:
-    environment = store.environment()
-    run = environment["run"]
+) -> Path:
+    told = record(store)
     gradient, ticks = error_scale_css()
-    return render(
-        "convergence.html",
-        run=run,
-        environment=environment["environment"],
-        metric_versions=environment["metrics"],
+    return write_page(
+        store.out,
+        Path(__file__).with_name("page.html"),
+        **told,
+        metric_versions=store.environment()["metrics"],
         stored=len(table),
         headline=headline(summary),
         summary=summary.to_dict("records"),
-        papers={entry["label"]: ", ".join(entry["paper"]) for entry in run["labels"]},
+        papers={entry["label"]: ", ".join(entry["paper"]) for entry in told["run"]["labels"]},
         svgs=svgs,
         sheets=sheets,
         fit_from=FIT_FROM,
@@ -196,7 +192,6 @@ def _page(
         error_gradient=Markup(gradient),  # made of numbers only
         error_ticks=ticks,
         failures=store.rows("failures"),
-        config=(store.out / "config.yaml").read_text(encoding="utf-8"),
     )
 
 

@@ -10,18 +10,19 @@ every row that is there.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from experiments.kinds.convergence.config import SAMPLES, Convergence
-from experiments.kinds.walkthrough.label_run import check_result
-from experiments.kinds.walkthrough.run import Progress, attempt_report, raise_failures
+from experiments.kinds.convergence.store import ConvergenceStore
+from experiments.kinds.kind import Progress
 from experiments.metrics import registry as metrics
-from experiments.rendering.engine import Engine, FrameLike, SessionLike, WarpEngine
+from experiments.rendering.engine import Engine, FrameLike, SessionLike, WarpEngine, check_result
 from experiments.results.environment import describe_run, text_digest
+from experiments.results.failures import attempt_report, raise_failures
 from experiments.results.images import (
     error_view,
     shaded_view,
@@ -30,11 +31,10 @@ from experiments.results.images import (
     write_exr,
     write_png,
 )
-from experiments.results.store import ConvergenceStore
 from wkernels.errors import InputError
 
 if TYPE_CHECKING:
-    from experiments.config.techniques import TechniqueRun
+    from experiments.schema.techniques import TechniqueRun
 
 REACH = 2.0  # standard errors within which the true error should lie
 
@@ -243,39 +243,3 @@ class _Work:
         """Records a failure; the label is left out from here on."""
         lane.failed, lane.session, lane.technique = True, None, None
         self.store.record_failure(lane.run.name, lane.run.label, step, error)
-
-
-def explain_convergence(convergence: Convergence, plugins: Mapping[str, type] | None = None) -> str:
-    """What ``run_convergence`` will do, for people; renders nothing."""
-    from experiments.kinds.walkthrough.explain import run_lines, scene_lines
-
-    if plugins is None:
-        from algorithms.plugins import load_all
-
-        plugins = load_all()
-    e, c = convergence.experiment, convergence
-    last = c.steps[-1]
-    where = f"frame {c.frame}, held" if c.camera == "still" else f"frames {c.frame} to {c.frame + last - 1} of the path"
-    # The baseline of costs is no matter here.
-    technique_lines = run_lines(replace(e, baseline=""), plugins)
-    work = []
-    for run in e.runs:
-        rows = len(c.measured(run.label))
-        amount = {"frames": f"over {last} frames", SAMPLES: f"{rows} times, with 1 to {last} samples", "none": "once"}
-        work.append(f"{run.label}: rendered {amount[c.axes[run.label]]}; {rows} row{'' if rows == 1 else 's'}")
-    references = {c.frame_of(s) for run in e.runs for s in c.measured(run.label)} if c.camera == "path" else {0}
-    pixels = e.image.width * e.image.height
-    work.append(
-        f"reference on {len(references)} frame{'' if len(references) == 1 else 's'}: {c.reference.samples} light "
-        f"samples, at most {len(references) * pixels * c.reference.samples:,} rays; "
-        "what the cache holds is not traced again"
-    )
-    work.append(f"pictures at steps {', '.join(map(str, c.steps))}")
-    sections = [
-        ("Scene", [*scene_lines(e, e.load_scene(), plugins), where]),
-        ("What will run", technique_lines),
-        ("Amount of work", work),
-        ("Left out", ["times: nothing is timed, so nothing is warmed up or repeated"]),
-    ]
-    parts = [f"Experiment {c.name} (convergence)"]
-    return "\n".join(parts + [f"\n{title}\n" + "\n".join(f"  {line}" for line in lines) for title, lines in sections])

@@ -10,13 +10,14 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 from pydantic_core import to_jsonable_python
 
-from experiments.config.models import FrameRange, Image, Projection
-from experiments.config.needs import unmet_need
+from algorithms.projections.schema import Projection
 from experiments.config.overrides import apply_overrides
 from experiments.config.source import Source, StrictModel, dump_yaml, load_yaml, validate
-from experiments.config.techniques import TechniqueRun, check_projection, expand_techniques
-from experiments.kinds.walkthrough.config import Experiment
 from experiments.scenes import load_scene
+from experiments.schema.experiment import Experiment
+from experiments.schema.models import FrameRange, Image
+from experiments.schema.needs import unmet_need
+from experiments.schema.techniques import TechniqueRun, expand_techniques
 
 
 class SavingsFile(StrictModel):
@@ -82,9 +83,7 @@ def load_savings(path: str | Path, overrides: Iterable[str], plugins: Mapping[st
     file = validate(SavingsFile, source)
     if file.techniques is None:
         source = source.replaced(("techniques",), list(plugins), "all techniques")
-    if file.projection is not None:
-        check_projection(source, ("projection",), file.projection.model_dump(by_alias=True))
-    runs = expand_techniques(source, plugins, file.projection, Projection)
+    runs = expand_techniques(source, plugins, file.projection)
     unmet: dict[tuple[str, str], str] = {}
     frames = file.frames.indices() if isinstance(file.frames, FrameRange) else tuple(range(file.frames))
     experiments = tuple(_of_scene(source, file, path, i, runs, plugins, frames, unmet) for i in range(len(file.scenes)))

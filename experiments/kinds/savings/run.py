@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from experiments.kinds.walkthrough.run import TechniquesFailed
 from experiments.rendering.engine import WarpEngine
 from experiments.results.environment import describe_machine, file_digest
+from experiments.results.failures import TechniquesFailed
 from experiments.results.store import Store
 from experiments.results.tables import Row, Table, read_table, table_text, write_text
 from wkernels import __version__
@@ -24,9 +24,9 @@ from wkernels.device.launch import default_threads
 from wkernels.errors import InputError
 
 if TYPE_CHECKING:
-    from experiments.config.techniques import TechniqueRun
+    from experiments.kinds.kind import Progress
     from experiments.kinds.savings.config import Savings
-    from experiments.kinds.walkthrough.run import Progress
+    from experiments.schema.techniques import TechniqueRun
     from wkernels.frame.session import Session
     from wkernels.workspace.left_out import Reasoned
 
@@ -215,25 +215,6 @@ def _kept(out: Path, savings: Savings, identity: Mapping[str, Any]) -> list[dict
     rows = read_table(out / "savings.csv")
     complete = {(row["scene"], row["label"]) for row in rows if row["what"] == EVERYTHING}
     return [row for row in rows if (row["scene"], row["label"]) in complete]
-
-
-def explain_savings(savings: Savings, plugins: Mapping[str, type]) -> str:
-    """What ``run_savings`` will do, for people."""
-    from experiments.kinds.walkthrough.explain import left_out_lines
-
-    lines = [f"Experiment {savings.name} (savings)"]
-    for experiment in savings.experiments:
-        scene = experiment.loaded_scene
-        walk = savings.walk(experiment)
-        lines += [
-            f"\n{scene.name}: {', '.join(run.label for run in experiment.runs)}",
-            f"  {len(walk)} frames of {experiment.image.width} x {experiment.image.height}, {experiment.repeats} times "
-            "each: with skips, without, and without each single one that turns out to be taken",
-            *(f"  not {label}: {why}" for (name, label), why in savings.unmet.items() if name == scene.name),
-            "  Left out",
-            *(f"    {line}" for line in left_out_lines(experiment, scene, plugins)),
-        ]
-    return "\n".join(lines)
 
 
 def savings_text(rows: Sequence[Row]) -> str:

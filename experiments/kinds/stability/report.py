@@ -6,18 +6,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments.report.page import render
+from experiments.report.page import record, write_page
 from experiments.results.store import Store
-from experiments.results.tables import read_table, write_text
+from experiments.results.tables import read_table
 from wkernels.errors import InputError
 
+PAGE = Path(__file__).with_name("page.html")
 STATUSES = ("ok", "declared", "broken")
 FILE = "stability.csv"
-
-
-def is_stability(folder: Path) -> bool:
-    """Whether a folder is of ``kind: stability``, not a walkthrough's that also holds such a table."""
-    return (folder / FILE).is_file() and not (folder / "frames.csv").is_file()
 
 
 def stability_values(folder: Path) -> dict[str, Any] | None:
@@ -75,19 +71,6 @@ def write_stability_report(out: str | Path) -> Path:
     values = stability_values(store.out)
     if values is None:
         raise InputError("has no rows yet; there is nothing to report.", file=store.out / FILE)
-    environment = store.environment()
-    page = render(
-        "stability.html",
-        run=environment["run"],
-        environment=environment["environment"],
-        identity=environment["identity"],
-        stability=values,
-        broken=[row for row in read_table(store.out / FILE) if row["status"] == "broken"],
-        declared=[row for row in read_table(store.out / FILE) if row["status"] == "declared"],
-        config=(store.out / "config.yaml").read_text(encoding="utf-8"),
-    )
-    try:
-        write_text(store.out / "report.html", page)
-    except OSError as error:
-        raise InputError(f"the report cannot be written ({error.strerror or error}).", file=store.out) from error
-    return store.out / "report.html"
+    rows = read_table(store.out / FILE)
+    broken, declared = ([row for row in rows if row["status"] == status] for status in ("broken", "declared"))
+    return write_page(store.out, PAGE, **record(store), stability=values, broken=broken, declared=declared)

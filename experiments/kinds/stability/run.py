@@ -15,17 +15,17 @@ from experiments.kinds.stability.cases import CASES
 from experiments.kinds.stability.heat_map import draw_heat_map
 from experiments.kinds.stability.report import write_stability_report
 from experiments.kinds.stability.table import COLUMNS, breaking_points, concerned, examine
-from experiments.kinds.walkthrough.run import attempt_report, raise_failures
 from experiments.rendering.engine import check_device
 from experiments.results.environment import describe_identity, describe_machine, file_digest, text_digest
+from experiments.results.failures import attempt_report, raise_failures
 from experiments.results.result_tables import FAILURE_COLUMNS
 from experiments.results.store import Store
 from experiments.results.tables import Row
 from wkernels.device.launch import default_threads
 
 if TYPE_CHECKING:
+    from experiments.kinds.kind import Progress
     from experiments.kinds.stability.config import Stability
-    from experiments.kinds.walkthrough.run import Progress
 
 
 def run_stability(
@@ -116,29 +116,6 @@ def _scenes_digest() -> str:
 def _expected(case: str, techniques: Mapping[str, type[Technique]]) -> int:
     count = sum(concerned(technique, CASES[case]) for technique in techniques.values())
     return count * len(CASES[case].levels)
-
-
-def explain_stability(stability: Stability, plugins: Mapping[str, type[Technique]]) -> str:
-    """What ``run_stability`` will do, for people."""
-    width = max(len(name) for name in stability.cases)
-    lines = [
-        f"Experiment {stability.name} (stability)",
-        "",
-        f"Techniques: {', '.join(stability.techniques)}",
-        "",
-        "Cases",
-    ]
-    for name in stability.cases:
-        case = CASES[name]
-        levels = ", ".join(level if isinstance(level, str) else f"{level:g}" for level in case.levels)
-        lines.append(f"  {name:<{width}}  {case.source}: {case.title}: {levels}")
-    declared = [
-        f"  {technique}, {case}: {reason}"
-        for technique in stability.techniques
-        for case, reason in plugins[technique].stability_limits.items()
-        if case in stability.cases
-    ]
-    return "\n".join([*lines, "", "Declared limits", *(declared or ["  none"])])
 
 
 def summary_text(rows: Sequence[Row]) -> str:

@@ -1,4 +1,4 @@
-"""Whether two runs of a sweep agree: rank correlations of times and errors, and membership in the Pareto fronts."""
+"""Two runs of a sweep: whether they agree (rank correlations, membership in Pareto fronts), and scene by scene."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from scipy import stats
 
 from experiments.kinds.sweep.config import ALL
 from experiments.kinds.sweep.store import SweepStore
+from experiments.results.compare import COLUMNS as SCENE_COLUMNS
 from experiments.results.compare import Comparison, compare
-from experiments.results.tables import Row
+from experiments.results.tables import Row, aligned
 from wkernels.errors import InputError
 
 COLUMNS = ("scene", "labels", "spearman_time", "spearman_error", "front_a", "front_b", "differ")
@@ -65,15 +66,45 @@ def agree(a: str | Path, b: str | Path) -> list[Agreement]:
     return [_agreement(scene, tables[0][scene], tables[1][scene]) for scene in scenes]
 
 
-def compare_scenes(a: str | Path, b: str | Path) -> dict[str, Comparison]:
-    """Label by label, of every scene that both sweeps have results of; see ``experiments.results.compare``.
+@dataclass(frozen=True)
+class SweepComparison:
+    """A ``experiments.results.compare.Compared``.
+
+    Attributes:
+        agreements: What both say of each scene.
+        scenes: Label by label, of every scene that both have results of.
+    """
+
+    agreements: list[Agreement]
+    scenes: dict[str, Comparison]
+    columns: tuple[str, ...] = ("scene", *SCENE_COLUMNS)
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        return [{"scene": name, **row} for name, found in self.scenes.items() for row in found.rows]
+
+    def regressions(self, percent: float) -> list[str]:
+        return [f"{name}: {why}" for name, found in self.scenes.items() for why in found.regressions(percent)]
+
+    def as_json(self) -> dict[str, Any]:
+        scenes = {name: found.as_json() for name, found in self.scenes.items()}
+        return {"agreement": [entry.row() for entry in self.agreements], "scenes": scenes}
+
+    def text(self) -> str:
+        head = ["", "Rank correlations (Spearman) and Pareto fronts", aligned(_rows_for_people(self.agreements))]
+        return "\n".join(head + [f"\n==== {name}\n{found.text()}" for name, found in self.scenes.items()])
+
+
+def compare_sweeps(a: str | Path, b: str | Path) -> SweepComparison:
+    """How sweep B differs from A.
 
     Raises:
-        InputError: One is no folder of a sweep, or a scene is not the same in both.
+        InputError: One is no folder of a sweep, they share no scene, or one is not the same in both.
     """
+    agreements = agree(a, b)
     stores = [SweepStore.existing(out) for out in (a, b)]
     both = [name for name in stores[0].scene_names() if all((s.scene(name) / "frames.csv").is_file() for s in stores)]
-    return {name: compare(stores[0].scene(name), stores[1].scene(name)) for name in both}
+    return SweepComparison(agreements, {name: compare(*(s.scene(name) for s in stores)) for name in both})
 
 
 def _by_scene(rows: list[dict[str, str]]) -> dict[str, dict[str, Row]]:
@@ -97,7 +128,7 @@ def _spearman(labels: list[str], a: Mapping[str, Row], b: Mapping[str, Row], col
     return float(stats.spearmanr(values[:, 0], values[:, 1]).statistic)
 
 
-def rows_for_people(found: list[Agreement]) -> list[list[str]]:
+def _rows_for_people(found: list[Agreement]) -> list[list[str]]:
     """A head and one line per scene."""
 
     def number(value: float | None) -> str:

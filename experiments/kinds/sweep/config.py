@@ -14,12 +14,13 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 from pydantic_core import to_jsonable_python
 
+from algorithms.plugins import load_all
 from experiments.config.messages import Loc
-from experiments.config.models import Projection, RunFile
-from experiments.config.needs import unmet_need
 from experiments.config.source import Source, dump_yaml, validate
-from experiments.config.techniques import TechniqueRun, check_projection, expand_techniques
-from experiments.kinds.walkthrough.config import Experiment, open_scene, read_experiment, resolve
+from experiments.schema.experiment import Experiment, open_scene, read_experiment, resolve
+from experiments.schema.models import RunFile
+from experiments.schema.needs import unmet_need
+from experiments.schema.techniques import TechniqueRun, expand_techniques, names_a_folder
 from wkernels.errors import nearest
 from wkernels.scene.model import Scene
 
@@ -32,7 +33,14 @@ Budget = str | Annotated[float, Field(gt=0.0)]
 
 
 class SweepFile(RunFile):
-    """An experiment file of this kind; ``Sweep`` says what the keys mean."""
+    """An experiment file of this kind.
+
+    Attributes:
+        scene: A scene file, or its keys; instead of ``scenes``.
+        scenes: Several; one that is written here may have a ``name``.
+        techniques: As in a walkthrough; ``all``, or as an entry, stands for all that no other entry names.
+        budgets: Labels whose time and error, or milliseconds that, the others are compared at, besides the baseline.
+    """
 
     kind: Literal["sweep"]
     scene: str | dict[str, Any] | None = None
@@ -88,7 +96,7 @@ class Sweep:
             "image": same.image.model_dump(),
             "reference": same.reference.model_dump() if same.reference else None,
             "metrics": list(same.metrics),
-            "projection": same.projection.model_dump(by_alias=True) if same.projection else None,
+            "projection": same.projection.written() if same.projection else None,
             "techniques": [run.entry() for run in self.runs],
             "baseline": self.baseline,
             "budgets": list(self.budgets) or None,
@@ -115,17 +123,11 @@ def load_sweep(path: str | Path, overrides: Iterable[str] = (), plugins: Mapping
         InputError: Something in the file, the overrides or a scene is wrong, no scene serves a technique that is named,
             or one does not serve the baseline.
     """
-    if plugins is None:
-        from algorithms.plugins import load_all
-
-        plugins = load_all()
-    path = Path(path)
+    path, plugins = Path(path), load_all() if plugins is None else plugins
     source = read_experiment(path, overrides)
     file = validate(SweepFile, source)
-    if file.projection is not None:
-        check_projection(source, ("projection",), file.projection.model_dump(by_alias=True))
     entries, named = _entries(source, file, plugins)
-    runs = expand_techniques(source, plugins, file.projection, Projection, entries)
+    runs = expand_techniques(source, plugins, file.projection, entries)
     labels = [run.label for run in runs]
     _check_labels(source, file, labels)
     opened = _open_scenes(source, file, path.resolve().parent)
@@ -221,7 +223,7 @@ def _check_name(source: Source, loc: Loc, name: str, earlier: Sequence[str]) -> 
     if name.casefold() in TAKEN:
         message = f"a scene cannot be called '{name}', which names something else in the results; rename it."
         raise source.error(message, loc)
-    if name in (".", "..") or len(name) > 100 or any(c in '/\\:*?"<>|' or not c.isprintable() for c in name):
+    if not names_a_folder(name):
         raise source.error('the name must be at most 100 printable characters without / \\ : * ? " < > |.', loc)
     if name.casefold() in [other.casefold() for other in earlier]:
         message = f"there is a scene '{name}' already; give one of the two another name (name: ... in a scene's keys)."

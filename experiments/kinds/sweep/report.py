@@ -13,9 +13,9 @@ import pandas as pd
 
 from experiments.metrics.registry import outdated
 from experiments.report.data import chart_data, column_title, parameters, thumbs, with_summary
-from experiments.report.page import render
+from experiments.report.page import write_page
 from experiments.results.store import Store
-from experiments.results.tables import read_table, write_text
+from experiments.results.tables import read_table
 from wkernels.errors import InputError
 
 PARETO_TEXTS = {"scene", "technique", "label", "error_to_reference", "on_front", "dominated_by"}
@@ -45,8 +45,9 @@ def write_sweep_report(folder: Path) -> Path:
     run = {"name": folder.resolve().name, "baseline": "", **record.get("run", {})}
     config = folder / "config.yaml"
     tables = {name: read_table(folder / f"{name}.csv") for name in ("equal_time", "equal_error", "recommendation")}
-    page = render(
-        "sweep.html",
+    return write_page(
+        folder,
+        Path(__file__).with_name("page.html"),
         run=run,
         environment=record.get("environment", {}),
         identity=record.get("identity", {}),
@@ -62,11 +63,6 @@ def write_sweep_report(folder: Path) -> Path:
         failures=read_table(folder / "failures.csv"),
         config=config.read_text(encoding="utf-8") if config.is_file() else "",
     )
-    try:
-        write_text(folder / "report.html", page)
-    except OSError as error:
-        raise InputError(f"the report cannot be written ({error.strerror or error}).", file=folder) from error
-    return folder / "report.html"
 
 
 def _numeric(rows: Sequence[Mapping[str, str]]) -> pd.DataFrame:

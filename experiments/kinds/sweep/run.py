@@ -1,4 +1,4 @@
-"""``run_sweep``: the result folder of ``kind: sweep``, and what ``explain`` says of it."""
+"""``run_sweep``: the result folder of ``kind: sweep``."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from experiments.kinds.kind import Progress
 from experiments.kinds.sweep.store import SweepStore
 from experiments.kinds.sweep.write import write_sweep, write_tables
-from experiments.kinds.walkthrough.explain import explain
-from experiments.kinds.walkthrough.run import Progress, TechniquesFailed, run
+from experiments.kinds.walkthrough.run import run
 from experiments.metrics.registry import METRICS
 from experiments.rendering.engine import Engine, check_device
 from experiments.results.environment import declared, describe_machine, text_digest
+from experiments.results.failures import TechniquesFailed
 from experiments.results.store import Store
 from experiments.results.tables import read_table, write_text
 from wkernels import __version__
@@ -23,7 +24,7 @@ from wkernels.errors import InputError
 
 if TYPE_CHECKING:
     from experiments.kinds.sweep.config import Sweep, SweepScene
-    from experiments.kinds.walkthrough.config import Experiment
+    from experiments.schema.experiment import Experiment
 
 Row = dict[str, Any]
 
@@ -153,7 +154,7 @@ def _rows(folder: Path) -> tuple[int, int]:
 
 def _report_scene(store: SweepStore, name: str, tell: Progress, failures: list[Row]) -> None:
     """Writes a scene's report; one that cannot be written is a failure and no reason to stop."""
-    from experiments.report import write_report
+    from experiments.kinds.walkthrough.report import write_report
     from experiments.results.summary import write_summary
 
     tell(0, 0, "writing the report")
@@ -227,22 +228,3 @@ def _described(scene: SweepScene) -> dict[str, Any]:
         "labels": [run.label for run in scene.experiment.runs],
         "left_out": [{"label": run.label, "reason": why} for run, why in scene.unserved],
     }
-
-
-def explain_sweep(sweep: Sweep, plugins: Mapping[str, type]) -> str:
-    """What ``run_sweep`` will do, for people: an overview, then each scene's walkthrough."""
-    experiments = [scene.experiment for scene in sweep.scenes]
-    renderings = sum(len(e.runs) * len(e.frames) * e.repeats for e in experiments)
-    compared = [sweep.baseline, *(b if isinstance(b, str) else f"{b:g} ms" for b in sweep.budgets)]
-    lines = [
-        f"Experiment {sweep.name} (sweep)",
-        "",
-        f"{len(sweep.runs)} labels on {len(experiments)} scene{'s' if experiments[1:] else ''}: "
-        f"{renderings:,} timed renderings",
-        f"compared at equal time and equal error with: {', '.join(dict.fromkeys(compared))}",
-    ]
-    for scene in sweep.scenes:
-        lines += ["", f"==== {scene.name}", "", *explain(scene.experiment, plugins).splitlines()[2:]]
-        if scene.unserved:
-            lines += ["", "Not run here", *(f"  {run.label}: {why}" for run, why in scene.unserved)]
-    return "\n".join(lines)

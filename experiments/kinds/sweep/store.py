@@ -59,11 +59,3 @@ class SweepStore(Store):
         for name in self.tables:
             (self.out / f"{name}.csv").unlink(missing_ok=True)
         super()._clear()
-
-
-def is_sweep(out: str | Path) -> bool:
-    """Whether a folder is that of a sweep, complete or not."""
-    store = SweepStore(Path(out))
-    if not (store.out / "environment.json").is_file():
-        return False
-    return store.environment().get("run", {}).get("kind") == "sweep"

@@ -52,12 +52,25 @@ def _failures(store: SweepStore) -> list[dict[str, str]]:
     ]
 
 
-def write_sweep(out: str | Path, *, recompute: bool = False, scene_failures: Sequence[Row] | None = None) -> Path:
+def recompute_sweep(out: str | Path) -> int:
+    """Computes all metrics again from the scenes' raw images, and writes their reports again; how many rows."""
+    from experiments.kinds.walkthrough.report import write_report
+
+    store, count = SweepStore(Path(out)), 0
+    for name in store.scene_names():
+        scene = Store(store.scene(name))
+        if scene.rows("frames"):
+            count += recompute_metrics(scene.out)
+            write_report(scene.out)
+            store.update_environment(metrics=scene.environment()["metrics"])
+    return count
+
+
+def write_sweep(out: str | Path, *, scene_failures: Sequence[Row] | None = None) -> Path:
     """Writes tables, plots and page of a sweep's folder again; renders nothing.
 
     Args:
         out: The folder.
-        recompute: Compute all metrics again from the scenes' raw images first, and write their reports again.
         scene_failures: Rows of failures.csv about whole scenes; None keeps those that are there.
 
     Returns:
@@ -68,24 +81,15 @@ def write_sweep(out: str | Path, *, recompute: bool = False, scene_failures: Seq
     """
     from experiments.kinds.sweep.plots import write_plots
     from experiments.kinds.sweep.report import write_sweep_report
-    from experiments.report import write_report
+    from experiments.report.page import writing_report
 
     store = SweepStore(Path(out))
-    if recompute:
-        for name in store.scene_names():
-            scene = Store(store.scene(name))
-            if scene.rows("frames"):
-                recompute_metrics(scene.out)
-                write_report(scene.out)
-                store.update_environment(metrics=scene.environment()["metrics"])
     if scene_failures is None:
         scene_failures = [row for row in store.rows("failures") if row["what"] == "scene"]
-    try:
+    with writing_report(store.out):
         scenes = write_tables(store, scene_failures)
         if not scenes:
             raise InputError("has no rows yet; there is nothing to report.", file=store.out)
         noise = {scene.name: scene.noise for scene in scenes}
         write_plots(store.out, store.rows("pareto"), noise, store.environment()["run"]["baseline"])
         return write_sweep_report(store.out)
-    except OSError as error:
-        raise InputError(f"the report cannot be written ({error.strerror or error}).", file=store.out) from error

@@ -7,13 +7,14 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from algorithms.projections.composition import DEFAULTS as PLAINEST
-from experiments.config.needs import shows_all_lights, unmet_need
+from algorithms.plugins import load_all
+from algorithms.projections.schema import read_projection
 from experiments.kinds.walkthrough.foreseen import light_moves, skip_lines
 from experiments.metrics.registry import MAP_METRICS, METRICS
+from experiments.schema.needs import check_runs, unmet_need
 
 if TYPE_CHECKING:
-    from experiments.kinds.walkthrough.config import Experiment
+    from experiments.schema.experiment import Experiment
     from wkernels.scene.model import Scene
 
 
@@ -24,10 +25,7 @@ def explain(experiment: Experiment, plugins: Mapping[str, type] | None = None) -
         experiment: The resolved experiment.
         plugins: Technique classes by name; None finds those of the installed packages.
     """
-    if plugins is None:
-        from algorithms.plugins import load_all
-
-        plugins = load_all()
+    plugins = load_all() if plugins is None else plugins
     scene = experiment.load_scene()
     sections = [
         ("Scene", scene_lines(experiment, scene, plugins)),
@@ -36,9 +34,13 @@ def explain(experiment: Experiment, plugins: Mapping[str, type] | None = None) -
         *([("Views", _view_lines(experiment))] if experiment.views else []),
         ("Left out", left_out_lines(experiment, scene, plugins)),
     ]
-    parts = [f"Experiment {experiment.name} (walkthrough)"]
-    parts += [f"\n{title}\n" + "\n".join(f"  {line}" for line in lines) for title, lines in sections]
-    return "\n".join(parts)
+    return sections_text(f"Experiment {experiment.name} (walkthrough)", sections)
+
+
+def sections_text(head: str, sections: Sequence[tuple[str, Sequence[str]]]) -> str:
+    """A head and titled lists of lines."""
+    parts = (f"\n{title}\n" + "\n".join(f"  {line}" for line in lines) for title, lines in sections)
+    return "\n".join([head, *parts])
 
 
 def scene_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, type]) -> list[str]:
@@ -54,7 +56,7 @@ def scene_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, type
         extent = f"size {light.size:.4g} scene units"
     if light_moves(experiment, scene):
         extent += ", moves"
-    if shows_all_lights(experiment.runs, plugins, scene):
+    if check_runs(experiment.runs, plugins, scene, experiment.light):
         extent += "; techniques and reference show all lights, weighted by radiance"
     return [
         f"{scene.name}: {len(scene.meshes)} meshes, {triangles:,} triangles, {len(casters)} meshes cast, "
@@ -74,7 +76,7 @@ def run_lines(experiment: Experiment, plugins: Mapping[str, type]) -> list[str]:
         defaults = cls.Params().model_dump()
         changed = ", ".join(f"{key}={value}" for key, value in run.params.items() if defaults.get(key) != value)
         notes = [f"{cls.family}/{run.name}", changed or "all parameters at their defaults"]
-        projection = [f"{k}={v}" for k, v in (run.projection or {}).items() if PLAINEST.get(k) != v]
+        projection = [f"{k}={v}" for k, v in read_projection(run.projection or {}).changed().items()]
         if projection:
             notes.append(f"projection {', '.join(projection)}")
         if cls.needs.history:
@@ -110,7 +112,7 @@ def _work_lines(experiment: Experiment, plugins: Mapping[str, type]) -> list[str
 
 
 def _view_lines(experiment: Experiment) -> list[str]:
-    from experiments.views.kinds import KINDS, picture_names
+    from experiments.schema.view_kinds import KINDS, picture_names
 
     views = experiment.views
     assert views is not None and views.frames is not None and views.image is not None

@@ -19,8 +19,8 @@ from wkernels.temporal.shadow_buffer.mover_shadow import MoverMap
 from wkernels.temporal.shadow_buffer.step import StepSkip
 
 if TYPE_CHECKING:
-    from experiments.config.techniques import TechniqueRun
-    from experiments.kinds.walkthrough.config import Experiment
+    from experiments.schema.experiment import Experiment
+    from experiments.schema.techniques import TechniqueRun
     from wkernels.scene.model import Mesh, Scene
     from wkernels.workspace.left_out import Omission, Reasoned
 

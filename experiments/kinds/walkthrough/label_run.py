@@ -10,8 +10,7 @@ import numpy as np
 from experiments.rendering.engine import FrameLike, SessionLike
 
 if TYPE_CHECKING:
-    from experiments.config.models import Image
-    from experiments.config.techniques import TechniqueRun
+    from experiments.schema.techniques import TechniqueRun
 
 
 class Timing(NamedTuple):
@@ -49,25 +48,6 @@ class Lane:
         if self.failed or not self.todo or frame in self.todo:
             return False
         return next_frame in self.todo or (self.history and frame < max(self.todo))
-
-
-def check_result(result: FrameLike | None, image: Image) -> None:
-    """Refuses what cannot be measured: metrics leave out pixels that are not finite, and would flatter a technique.
-
-    Raises:
-        ValueError: The result is not one number for every receiver pixel of the image.
-    """
-    assert result is not None
-    size = (image.height, image.width)
-    if result.visibility.shape != size:
-        raise ValueError(f"visibility has the size {result.visibility.shape}, not {size}")
-    receivers = int(np.isfinite(result.visibility).sum()) + result.not_finite
-    if result.not_finite:
-        raise ValueError(f"visibility is not finite in {result.not_finite} of {receivers} receiver pixels")
-    if result.standard_error is not None:
-        known = result.standard_error[np.isfinite(result.visibility)]
-        if wrong := int((~(known >= 0.0) | np.isinf(known)).sum()):
-            raise ValueError(f"the standard error is negative or not finite in {wrong} of {receivers} receiver pixels")
 
 
 def timing_columns(timings: list[Timing]) -> dict[str, float]:

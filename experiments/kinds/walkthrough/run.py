@@ -7,73 +7,28 @@ comes before the first frame and is never timed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from experiments.kinds.walkthrough.label_run import Lane, Timing, check_result, pass_medians, timing_columns
+from experiments.kinds.kind import Progress
+from experiments.kinds.walkthrough.label_run import Lane, Timing, pass_medians, timing_columns
 from experiments.metrics import registry as metrics
 from experiments.metrics.carry_over import carry_over, disoccluded
-from experiments.rendering.engine import Engine, FrameLike, WarpEngine, kernels_of
+from experiments.rendering.engine import Engine, FrameLike, WarpEngine, check_result, kernels_of
 from experiments.results.environment import describe_run
+from experiments.results.failures import attempt_report, raise_failures
 from experiments.results.images import error_view, shaded_view, visibility_view, write_exr, write_png
 from experiments.results.store import Store
 from experiments.results.tables import Row
 from wkernels.errors import InputError
 
 if TYPE_CHECKING:
-    from experiments.kinds.walkthrough.config import Experiment
+    from experiments.schema.experiment import Experiment
 
 UNUSED = "no label uses the technique, and nothing is compiled that is not launched"
-
-
-class Progress(Protocol):
-    """Is told what happens; ``done`` of ``total`` frames (label and frame pairs) are stored."""
-
-    def __call__(self, done: int, total: int, what: str) -> None:
-        """Called before each piece of work that takes time, and at the end."""
-
-
-_NAMELESS = {"file": "the reference"}  # whose files have no label
-
-
-class TechniquesFailed(RuntimeError):
-    """Something failed: techniques while rendering, or files that could not be written; all else was run and stored.
-
-    Args:
-        out: The result folder.
-        rows: Of failures.csv.
-        store: Where the results went; names tables that it could not write, and where they are.
-
-    Attributes:
-        out: The result folder.
-        labels: The labels that failed.
-        spare: Folder of tables that could not be written; None where all could.
-        unwritten: Whether there are any.
-    """
-
-    def __init__(self, out: Path, rows: list[dict[str, str]], store: Store | None = None) -> None:
-        self.out = out
-        self.labels = tuple(dict.fromkeys(row["label"] for row in rows if row["label"]))
-        self.spare = store.spare if store else None
-        self.unwritten = bool(store and store.unwritten)
-        parts = []
-        if rows:
-            first = rows[0]
-            what = first.get("what") or "technique"
-            who = f"'{first['label']}'" if first["label"] else _NAMELESS.get(what, f"the {what}")
-            does = "could not be stored" if what == "file" else "failed"
-            more = f" ({len(rows) - 1} more in {out / 'failures.csv'})" if len(rows) > 1 else ""
-            where = f" on frame {first['frame']}" if first["frame"] else ""
-            parts.append(f"{who} {does}{where}: {first['error'].rstrip('.')}{more}.")
-            parts.append(f"Tracebacks are in {out / 'failures'}, the other results in {out}.")
-            if any(row.get("what", "technique") not in ("", "technique") for row in rows):
-                parts.append("--resume makes again what could not be stored.")
-        if store and store.unwritten:
-            parts.append(store.unwritten_text())
-        super().__init__(" ".join(parts))
 
 
 def run(
@@ -91,7 +46,7 @@ def run(
     left_out: Sequence[Row] = (),
     refusals_fail: bool = False,
 ) -> Path:
-    """Runs an experiment and writes its result folder (DESIGN section 6).
+    """Runs an experiment and writes its result folder (docs/formats.md).
 
     Args:
         experiment: The resolved experiment.
@@ -116,7 +71,7 @@ def run(
         TechniquesFailed: At the end, if a technique raised; the others are complete.
         KeyboardInterrupt: Passed on; all complete rows are kept and the run can be resumed.
     """
-    from experiments.report import write_report
+    from experiments.kinds.walkthrough.report import write_report
     from experiments.results.summary import write_summary
 
     if engine is None:
@@ -135,21 +90,6 @@ def run(
     tell(walkthrough.done, walkthrough.total, "done")
     raise_failures(store)
     return store.out
-
-
-def attempt_report(store: Store, write: Callable[[Path], Any]) -> None:
-    """Writes a report; one that fails is a row of failures.csv, because the results are there."""
-    try:
-        write(store.out)
-    except Exception as error:
-        store.record_failure("", "", "", error, "report")
-
-
-def raise_failures(store: Store) -> None:
-    """Raises TechniquesFailed if anything failed."""
-    failures = store.rows("failures")
-    if failures or store.unwritten:
-        raise TechniquesFailed(store.out, failures, store)
 
 
 class _Walkthrough:

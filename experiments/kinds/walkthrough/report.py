@@ -1,4 +1,4 @@
-"""``write_report``: summary.csv, plots and report.html of a result folder."""
+"""``write_report``: summary.csv, plots and report.html of a walkthrough's folder."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from experiments.metrics.registry import METRICS, outdated
 from experiments.report import plots, style
 from experiments.report.data import chart_data, curve_data, parameters, thumbs, viewer_data
 from experiments.report.fields import field_frames
-from experiments.report.page import number, render
+from experiments.report.page import number, record, write_page, writing_report
 from experiments.report.pictures import error_scale_css, picture_frames, view_groups
 from experiments.report.prediction import scatter
 from experiments.results import summary
@@ -22,7 +22,6 @@ from experiments.results.images import ERROR_SCALE
 from experiments.results.prediction import Correlation, write_prediction
 from experiments.results.published import read_published
 from experiments.results.store import Store
-from experiments.results.tables import write_text
 from wkernels.errors import InputError
 
 _PAPER = ("png", "svg", "pdf")
@@ -44,7 +43,7 @@ def write_report(out: str | Path) -> Path:
     frames = summary.load_frames(store)
     if frames.empty:
         raise InputError("has no rows yet; there is nothing to report.", file=store.out / "frames.csv")
-    try:
+    with writing_report(store.out):
         table = summary.write_summary(store.out)
         passes = summary.load_passes(store)
         prediction = write_prediction(store.out, frames)
@@ -52,10 +51,7 @@ def write_report(out: str | Path) -> Path:
         for name, (figure, suffixes) in figures.items():
             style.save(figure, store.out / "plots" / name, suffixes)
         svgs = {name: Markup(plots.inline_svg(figure)) for name, (figure, _) in figures.items()}
-        write_text(store.out / "report.html", _page(store, frames, passes, table, prediction, svgs))
-    except OSError as error:
-        raise InputError(f"the report cannot be written ({error.strerror or error}).", file=store.out) from error
-    return store.out / "report.html"
+    return _write_page(store, frames, passes, table, prediction, svgs)
 
 
 def _draw(
@@ -85,16 +81,16 @@ def _draw(
     return out
 
 
-def _page(
+def _write_page(
     store: Store,
     frames: pd.DataFrame,
     passes: pd.DataFrame,
     table: pd.DataFrame,
     prediction: list[Correlation],
     svgs: dict[str, Markup],
-) -> str:
-    environment = store.environment()
-    run = environment["run"]
+) -> Path:
+    told = record(store)
+    run, metrics = told["run"], store.environment()["metrics"]
     labels = list(table["label"])
     with_images = sorted({frame for label in labels for frame in store.image_frames(label)})
     with_errors = set(frames.loc[frames["rmse"].notna(), "frame"].astype(int))
@@ -107,13 +103,12 @@ def _page(
     pictures = picture_frames(store, labels, all_pictures)
     fields = field_frames(store, labels, all_pictures)
     reference_error = float(table["reference_standard_error"].median())
-    return render(
-        "report.html",
-        run=run,
-        environment=environment["environment"],
-        identity=environment["identity"],
-        metric_versions=environment["metrics"],
-        outdated=outdated(environment["metrics"]),
+    return write_page(
+        store.out,
+        Path(__file__).with_name("page.html"),
+        **told,
+        metric_versions=metrics,
+        outdated=outdated(metrics),
         expected=len(run["labels"]) * len(run["frames"]),
         stored=len(frames),
         headline=headline(table, run["baseline"]),
@@ -146,7 +141,6 @@ def _page(
         passes=_pass_shares(passes, labels),
         left_out=summary.load_left_out(store).to_dict("records"),
         failures=store.rows("failures"),
-        config=(store.out / "config.yaml").read_text(encoding="utf-8"),
     )
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from experiments.config.messages import Loc
 from experiments.config.source import Source
+from experiments.schema.techniques import TechniqueRun
+from wkernels.casters.closed import is_closed
 from wkernels.errors import InputError
 from wkernels.scene.lights import Light
 from wkernels.scene.model import Mesh, Scene
@@ -61,20 +63,31 @@ def check_needs(technique: Any, scene: Scene, light: Light, *, source: Source | 
         raise source.error(message, loc) if source else InputError(message)
 
 
-def shows_all_lights(
-    runs: Iterable[Any], plugins: Mapping[str, Any], scene: Scene, source: Source | None = None
+def check_runs(
+    runs: Sequence[TechniqueRun],
+    plugins: Mapping[str, Any],
+    scene: Scene,
+    light: int,
+    source: Source | None = None,
 ) -> bool:
-    """Whether an experiment's techniques show all lights together, and are scored by the weighted mean of references.
+    """Refuses techniques that cannot work in a scene, or not together.
 
     Args:
-        runs: Its techniques, ``TechniqueRun``.
+        runs: An experiment's techniques.
         plugins: Technique classes by name.
-        scene: The scene; with one light it makes no difference, and this is False.
+        scene: The scene.
+        light: Index of the light that the experiment asks for.
         source: The experiment file.
 
+    Returns:
+        Whether they show all lights together and are scored by the weighted mean of references; with one light in the
+        scene it makes no difference, and this is False.
+
     Raises:
-        InputError: Some do and others show one light, which no reference suits; or one cannot work with a light.
+        InputError: A need is not met, or some show all lights and others one, which no reference suits.
     """
+    for run in runs:
+        check_needs(plugins[run.name], scene, scene.lights[light], source=source, loc=run.loc)
     if len(scene.lights) < 2:
         return False
     own = {run.label: _shows_all(plugins[run.name], run.params) for run in runs}
@@ -86,25 +99,13 @@ def shows_all_lights(
         )
         raise source.error(message, odd[0].loc) if source else InputError(message)
     for run in runs:
-        for light in scene.lights if own[run.label] else ():
-            check_needs(plugins[run.name], scene, light, source=source, loc=run.loc)
+        for other in scene.lights if own[run.label] else ():
+            check_needs(plugins[run.name], scene, other, source=source, loc=run.loc)
     return any(own.values())
 
 
 def _shows_all(technique: Any, params: Mapping[str, Any]) -> bool:
     return bool(hasattr(technique, "all_lights") and technique(technique.Params(**params)).all_lights)
-
-
-def is_closed(mesh: Mesh) -> bool:
-    """Whether the mesh is a closed, consistently oriented 2-manifold once coincident vertices are merged."""
-    _, merged = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    faces = merged.reshape(-1)[mesh.faces]
-    corners = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    faces = faces[corners]
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    forward, counts = np.unique(edges, axis=0, return_counts=True)
-    backward = np.unique(edges[:, ::-1], axis=0)
-    return len(edges) > 0 and bool(np.all(counts == 1)) and np.array_equal(forward, backward)
 
 
 def is_planar(mesh: Mesh) -> bool:

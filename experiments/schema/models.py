@@ -1,4 +1,4 @@
-"""Models of the experiment file, as it is written (DESIGN section 5)."""
+"""Models of the experiment file, as it is written (docs/formats.md)."""
 
 from __future__ import annotations
 
@@ -6,16 +6,19 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from algorithms.projections.schema import Projection
 from experiments.config.source import StrictModel
 
 Pixels = Annotated[int, Field(ge=1, le=16384)]
-WarpName = Literal["none", "psm", "lispsm_nopt", "lispsm_nrepar", "arbitrary"]
-Scheme = Literal["uniform", "log", "practical", "pseudo"]
-Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class Image(StrictModel):
-    """Size of the rendered frames in pixels, 1 to 16384."""
+    """Size of the rendered frames.
+
+    Attributes:
+        width: Pixels.
+        height: Pixels.
+    """
 
     width: Pixels
     height: Pixels
@@ -50,54 +53,14 @@ class Reference(StrictModel):
         return self
 
 
-class Projection(StrictModel):
-    """How light views are laid over the scene; the default of every technique that reads a shadow map.
+class FrameRange(StrictModel):
+    """Frames ``start, start + step, ...`` below ``stop``.
 
     Attributes:
-        fit: What the light view is fitted to; a file of ``algorithms/projections/fits``.
-        warp: Reparametrisation towards the eye.
-        warp_distance: n' of the warp ``arbitrary``, as a multiple of what a split covers along the view.
-        warp_centre: What a warp is centred on: the view vector, or the corner nearest to the eye, which jumps.
-        splits: Number of depth splits of the view frustum, 1 to 16.
-        scheme: How the splits are spaced.
-        pseudo_near, pseudo_far: Shares of the depth range before and behind the planes that the scheme ``pseudo`` looks
-            between; their sum is less than 1.
-        lambda_: Key ``lambda``: 0 = uniform, 1 = logarithmic spacing of the ``practical`` scheme.
-        selection: Which split a receiver reads.
-        partition: Whether the view is divided by depth, into ``splits``, or by its side faces, up to four of them, each
-            with a map and a warp of its own.
-        near: The near plane that fit, splits and warp start from: the camera's (``user``), moved out to the nearest
-            thing in sight (``auto``), or to what the last frame saw, which clips what has come nearer since
-            (``auto_previous``).
-        adjust: Whether the splits' range follows what is seen of the scene; without it splits may be empty.
-        depth: ``scene``: casters keep their depth; ``tight``: those far before what is seen are clamped to a near plane
-            there. No shadow is lost, but soft shadows take those casters for nearer than they are.
-        storage: How the splits' maps are stored; never changes the picture.
-        drawing: Each split's map in a pass of its own, or all in one over the triangles; never changes the picture.
-        stabilise: Remedy against swimming shadow edges.
+        start: The first.
+        stop: The first that is not meant.
+        step: From one to the next.
     """
-
-    fit: str = "scene"
-    warp: WarpName = "none"
-    warp_distance: float | None = Field(None, gt=0.0)
-    warp_centre: Literal["view_vector", "vertex"] = "view_vector"
-    splits: int = Field(1, ge=1, le=16)
-    scheme: Scheme = "practical"
-    lambda_: Fraction = Field(0.5, alias="lambda")
-    pseudo_near: Fraction = 0.0
-    pseudo_far: Fraction = 0.0
-    selection: Literal["depth", "best"] = "depth"
-    partition: Literal["depth", "faces"] = "depth"
-    near: Literal["user", "auto", "auto_previous"] = "user"
-    adjust: bool = True
-    depth: Literal["scene", "tight"] = "scene"
-    storage: Literal["separate", "array", "cube6", "atlas4", "atlas9", "atlas16"] = "separate"
-    drawing: Literal["passes", "cloned", "instanced"] = "passes"
-    stabilise: Literal["none", "exact", "approximate"] = "none"
-
-
-class FrameRange(StrictModel):
-    """Frames ``start, start + step, ...`` below ``stop``."""
 
     start: int = Field(0, ge=0)
     stop: int = Field(ge=1)
@@ -163,7 +126,7 @@ class Views(StrictModel):
 
     Attributes:
         frames: Rendered frames to picture; the first one unless given.
-        kinds: Which pictures, names of ``experiments.views.kinds``; ``all`` by default.
+        kinds: Which pictures, names of ``experiments.schema.view_kinds``; ``all`` by default.
         labels: Of which techniques; all that read a light map unless given.
         third_person: Where the free camera stands.
         image: Size of the free camera's pictures, the frame's unless given; the eye's pictures are the frame itself.
@@ -181,7 +144,16 @@ class Views(StrictModel):
 
 
 class RunFile(StrictModel):
-    """What walkthroughs and sweeps have in common; ``Experiment`` says what the keys mean."""
+    """What walkthroughs and sweeps have in common; ``Experiment`` says what the other keys mean.
+
+    Attributes:
+        reference: The ray-cast reference; without it no errors are known.
+        metrics: Names of metrics; those that are computed always need none. ``sampling`` stands for those of the map.
+        projection: Default of all techniques that read a light map; without it each has its own, ``fit: scene``.
+        baseline: The label that costs are relative to; the first one unless given.
+        frames: How many, or which; all of the scene's path unless given.
+        views: Pictures that show why a technique fails.
+    """
 
     image: Image
     reference: Reference | None = None
@@ -194,11 +166,3 @@ class RunFile(StrictModel):
     lead_in: int = Field(0, ge=0, le=100_000)
     light: int = Field(0, ge=0)
     views: Views | None = None
-
-
-class WalkthroughFile(RunFile):
-    """An experiment file of ``kind: walkthrough``."""
-
-    kind: Literal["walkthrough"]
-    scene: str | dict[str, Any]
-    techniques: list[str | dict[str, Any]] = Field(min_length=1)

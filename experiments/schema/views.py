@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from experiments.config.models import FrameRange, RunFile, Views
 from experiments.config.source import Source
-from experiments.views.kinds import KINDS
+from experiments.schema.models import FrameRange, RunFile, Views
+from experiments.schema.view_kinds import KINDS
 from wkernels.errors import nearest
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,9 +16,11 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic_core import to_jsonable_python
 
+from algorithms.projections.composition import compose
+from algorithms.projections.schema import Projection
 from experiments.config.messages import Loc, shown
-from experiments.config.source import Source, StrictModel, validate
-from experiments.results.published import QUANTITIES
+from experiments.config.source import Source, validate
+from experiments.schema.published import QUANTITIES, check_published
 from wkernels.errors import InputError, nearest
 
 _OPTIONS = ("label", "projection", "sweep", "published")
@@ -59,8 +60,7 @@ class TechniqueRun:
 def expand_techniques(
     source: Source,
     plugins: Mapping[str, type],
-    default: StrictModel | None,
-    projection_model: type[StrictModel],
+    default: Projection | None,
     entries: Sequence[tuple[Loc, Any]] | None = None,
 ) -> tuple[TechniqueRun, ...]:
     """All runs of the ``techniques`` list, in order.
@@ -69,17 +69,19 @@ def expand_techniques(
         source: The experiment file.
         plugins: Techniques by name; each has a pydantic model ``Params``.
         default: The experiment's projection, if it gives one.
-        projection_model: Model of a projection.
         entries: Places and entries, where they are not simply those of the list.
 
     Raises:
-        InputError: An unknown technique or parameter, a wrong value, an empty sweep, or two runs with the same label.
+        InputError: An unknown technique or parameter, a wrong value, a projection that makes no sense, an empty sweep,
+            or two runs with the same label.
     """
+    if default is not None:
+        check_projection(source, ("projection",), default.written())
     runs: list[TechniqueRun] = []
     if entries is None:
         entries = [(("techniques", i), entry) for i, entry in enumerate(source.data["techniques"])]
     for loc, entry in entries:
-        for run in _expand_entry(source, loc, entry, plugins, default, projection_model):
+        for run in _expand_entry(source, loc, entry, plugins, default):
             earlier = next((other for other in runs if other.label.casefold() == run.label.casefold()), None)
             if earlier is not None:
                 line = source.line(earlier.loc)
@@ -97,8 +99,7 @@ def _expand_entry(
     loc: Loc,
     entry: str | dict[str, Any],
     plugins: Mapping[str, type],
-    default: StrictModel | None,
-    projection_model: type[StrictModel],
+    default: Projection | None,
 ) -> Iterator[TechniqueRun]:
     if isinstance(entry, dict):
         if len(entry) != 1:
@@ -120,7 +121,7 @@ def _expand_entry(
             raise source.error(f"the technique '{name}' has no parameter '{key}'." + nearest(key, known), (*inner, key))
     fixed = {key: value for key, value in options.items() if key not in _OPTIONS}
     sweep = _sweep(source, (*inner, "sweep"), options.get("sweep"), name, fixed, params_model)
-    projection = _projection(source, (*inner, "projection"), options.get("projection"), default, projection_model)
+    projection = _projection(source, (*inner, "projection"), options.get("projection"), default)
     published = check_published(source, (*inner, "published"), options.get("published"), QUANTITIES)
     if published and sweep:
         raise source.error("one published figure cannot stand for a whole sweep; list the runs.", (*inner, "published"))
@@ -152,54 +153,37 @@ def _sweep(
     return sweep
 
 
-def _projection(
-    source: Source, loc: Loc, changes: Any, default: StrictModel | None, model: type[StrictModel]
-) -> dict[str, Any] | None:
-    base = default.model_dump(by_alias=True) if default else None
+def _projection(source: Source, loc: Loc, changes: Any, default: Projection | None) -> dict[str, Any] | None:
+    base = default.written() if default else None
     if changes is None:
         return base
     if not isinstance(changes, dict):
         raise source.error(f"must be a mapping of keys to values, not {shown(changes)}.", loc)
-    merged = validate(model, source, loc, {**(base or {}), **changes}).model_dump(by_alias=True)
+    merged = validate(Projection, source, loc, {**(base or {}), **changes}).written()
     check_projection(source, loc, merged)
     return merged
 
 
 def check_projection(source: Source, loc: Loc, settings: dict[str, Any]) -> None:
-    """Refuses values that a projection may have but for which there is no plugin; InputError names the key."""
-    from algorithms.projections.composition import compose
-
+    """Refuses a projection whose keys make no sense together; InputError names the key."""
     try:
         compose(settings)
     except InputError as error:
         raise source.error(error.message, (*loc, *(error.key or "").split(".")[1:])) from None
 
 
-def check_published(source: Source, loc: Loc, figures: Any, known: Sequence[str]) -> dict[str, float]:
-    """The key ``published``: finite numbers by name.
-
-    Raises:
-        InputError: It is no mapping, or has an unknown name or no number.
-    """
-    if figures is None:
-        return {}
-    if not isinstance(figures, dict) or not figures:
-        raise source.error(f"must map quantities to numbers, not {shown(figures)}.", loc)
-    for name, value in figures.items():
-        if name not in known:
-            raise source.error(f"there is no quantity '{name}'." + nearest(name, known), (*loc, name))
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise source.error(f"must be a finite number, not {shown(value)}.", (*loc, name))
-    return {name: float(value) for name, value in figures.items()}
-
-
 def _label(source: Source, loc: Loc, label: Any) -> str:
     if not isinstance(label, str) or not label.strip():
         raise source.error(f"must be a name, not {shown(label)}.", loc)
-    # Labels become folder names.
-    if label in (".", "..") or len(label) > 100 or any(c in '/\\:*?"<>|' or not c.isprintable() for c in label):
+    if not names_a_folder(label):
         raise source.error('must be at most 100 printable characters without / \\ : * ? " < > |.', loc)
     return label
+
+
+def names_a_folder(name: str) -> bool:
+    """Whether a label, or a scene, can be the name of its result folder."""
+    odd = any(c in '/\\:*?"<>|' or not c.isprintable() for c in name)
+    return name not in (".", "..") and len(name) <= 100 and not odd
 
 
 def _text(value: Any) -> str:
