@@ -56,13 +56,14 @@ from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.light_maps.receivers import receiver_of_pixel
 from wkernels.light_maps.storage import MapLayout, allocate, layer_images
 from wkernels.raster.gbuffer import GBuffer
-from wkernels.workspace.left_out import Omission
+from wkernels.workspace.left_out import Because, Omission
+from wkernels.workspace.products import Product
 
 
 class Skip(Omission):
     """What lights and filters save."""
 
-    TAPS_ALIKE = "taps of the search", "the light has no area"
+    TAPS_ALIKE = "taps of the search", Because.NO_AREA
     NO_BLUR = "blur of moments", "its kernel has one tap"
 
 
@@ -167,6 +168,7 @@ class Vsm(Technique):
     name = "vsm"
     family = "filtering"
     paper = ("donnelly2006vsm", "lauritzen2007savsm", "fernando2005pcss", "schwaerzler2009")
+    products = (Product.G_BUFFER, Product.LIGHT_MAP)
     stability_limits: ClassVar[dict[str, str]] = {
         "light_place": "no texel falls on a receiver in whose plane the light lies"
     }
@@ -218,6 +220,9 @@ class Vsm(Technique):
             if taps % 2 == 0:
                 raise ValueError(f"a filter has an odd number of taps, so {taps} is not possible: take {taps + 1}")
             return taps
+
+    def leaves_out(self) -> tuple[Omission, ...]:
+        return self.may_leave_out if self.params.taps == 1 else (Skip.TAPS_ALIKE,)
 
     def render(self, frame: Frame) -> wp.array:
         gbuffer = frame.gbuffer()

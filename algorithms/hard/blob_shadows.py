@@ -26,6 +26,7 @@ from algorithms.technique import Frame, Params, Technique, setting
 from wkernels.casters.blobs import Blob, bounding_ellipsoid, distance_to_blob, placed_ellipsoid
 from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
 from wkernels.scene.geometry import RECEIVES
+from wkernels.workspace.products import Product
 
 
 @wp.struct
@@ -77,6 +78,7 @@ class BlobShadows(Technique):
     name = "blob_shadows"
     family = "hard"
     paper = ("schwaerzler2009",)
+    products = (Product.G_BUFFER,)
     bias_sign = "lighter"
     expected_failures: ClassVar[dict[str, str]] = {
         "behind_an_opaque_slab_all_is_dark": "a blob fades with the height of its caster"

@@ -7,6 +7,9 @@ from typing import Any, Literal
 from pydantic import model_validator
 
 from algorithms.technique import MapParams, setting
+from wkernels.temporal.shadow_buffer.mover_shadow import MoverMap
+from wkernels.temporal.shadow_buffer.step import StepSkip
+from wkernels.workspace.left_out import Omission
 
 Movers = Literal["disocclude", "at_once", "gradual", "ignore"]
 
@@ -166,6 +169,11 @@ class ShadowBufferParams(MapParams):
         gt=0.0,
         le=1e6,
     )
+
+    def possible(self, omissions: tuple[Omission, ...]) -> tuple[Omission, ...]:
+        """Those that can happen with these parameters."""
+        out = {MoverMap.NO_MOVERS: self.mover_map == "none", StepSkip.SETTLED: self.stop_error == 0.0}
+        return tuple(omission for omission in omissions if not out.get(omission, False))
 
     @model_validator(mode="after")
     def _one_map_of_movers(self) -> Any:

@@ -76,13 +76,14 @@ from wkernels.temporal.shadow_buffer.step import (
     is_settled,
 )
 from wkernels.temporal.shadow_buffer.update import START_PCSS, START_SAMPLE
-from wkernels.workspace.left_out import Omission
+from wkernels.workspace.left_out import Because, Omission
+from wkernels.workspace.products import Product
 
 
 class Skip(Omission):
     """What a light without an area saves."""
 
-    TAPS_ALIKE = "taps of starts", "the light has no area"
+    TAPS_ALIKE = "taps of starts", Because.NO_AREA
 
 
 class TcSoftPaper(Technique):
@@ -91,6 +92,7 @@ class TcSoftPaper(Technique):
     name = "tc_soft_paper"
     family = "temporal"
     paper = ("scherzer2009tc", "schwaerzler2009", "fernando2005pcss")
+    products = (Product.G_BUFFER, Product.LIGHT_MAP, Product.LIGHT_SAMPLES, Product.HISTORY)
     needs = Needs(area=True, history=True)
     stability_limits: ClassVar[dict[str, str]] = {
         "light_place": "no texel falls on a receiver in whose plane the light lies"
@@ -168,6 +170,10 @@ class TcSoftPaper(Technique):
         @classmethod
         def _fit_box(cls, taps: int) -> int:
             return check_tap_count(taps, "box")
+
+    def leaves_out(self) -> tuple[Omission, ...]:
+        possible: tuple[Omission, ...] = self.params.possible(self.may_leave_out)
+        return possible
 
     def render(self, frame: Frame) -> wp.array:
         if (lit := frame.lit_without_casters(standard_error=0.0)) is not None:

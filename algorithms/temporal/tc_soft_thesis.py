@@ -70,13 +70,14 @@ from wkernels.temporal.shadow_buffer.step import (
     is_settled,
 )
 from wkernels.temporal.shadow_buffer.update import START_SAMPLE, START_SEARCH
-from wkernels.workspace.left_out import Omission
+from wkernels.workspace.left_out import Because, Omission
+from wkernels.workspace.products import Product
 
 
 class Skip(Omission):
     """What a light without an area saves."""
 
-    POINTLESS = "blocker searches and neighbourhoods", "the light has no area"
+    POINTLESS = "blocker searches and neighbourhoods", Because.NO_AREA
 
 
 class TcSoftThesis(Technique):
@@ -85,6 +86,7 @@ class TcSoftThesis(Technique):
     name = "tc_soft_thesis"
     family = "temporal"
     paper = ("schwaerzler2009", "scherzer2009tc")
+    products = (Product.G_BUFFER, Product.LIGHT_MAP, Product.LIGHT_SAMPLES, Product.HISTORY)
     needs = Needs(area=True, history=True)
     stability_limits: ClassVar[dict[str, str]] = {
         "light_place": "no texel falls on a receiver in whose plane the light lies"
@@ -180,6 +182,10 @@ class TcSoftThesis(Technique):
                     "the blend needs s_min <= s_max"
                 )
             return self
+
+    def leaves_out(self) -> tuple[Omission, ...]:
+        possible: tuple[Omission, ...] = self.params.possible(self.may_leave_out)
+        return possible
 
     def render(self, frame: Frame) -> wp.array:
         if (lit := frame.lit_without_casters(standard_error=0.0)) is not None:

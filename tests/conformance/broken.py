@@ -15,6 +15,7 @@ from rig import CHECKS
 
 from algorithms.technique import Limit, Needs, Params, Technique, setting
 from wkernels.frame.session import Session as Frame
+from wkernels.workspace.products import Product
 
 Spoil = Callable[[np.ndarray, Frame], np.ndarray]
 BROKEN: list[tuple[str, type[Technique]]] = []
@@ -86,6 +87,8 @@ broken("declarations_resolve", "equals nothing", limits=(Limit(equals="no_such_t
 broken("declarations_resolve", "impossible parameters", limits=(Limit(equals="shadow_map", params={"samples": 0}),))
 broken("declarations_resolve", "a limit as wide as a door", limits=(Limit(equals="shadow_map", flips=0.5),))
 broken("declarations_resolve", "fails a check that does not exist", expected_failures={"no_such_check": "because"})
+broken("pulls_what_it_declares", "pulls light samples in silence", products=(Product.G_BUFFER, Product.RAY_STRUCTURE))
+broken("pulls_what_it_declares", "declares a map that it never pulls", products=(*Honest.products, Product.LIGHT_MAP))
 
 
 # ---- images ---------------------------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from wkernels.raster import Rasteriser
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.views import HostView
 from wkernels.workspace.left_out import Omission
+from wkernels.workspace.products import Product
 from wkernels.workspace.workspace import Workspace
 
 MOVING = {"all": None, "still": False, "moving": True}
@@ -85,5 +86,5 @@ class MapKeeper:
             return made
 
         inputs = (self._geometry.version, views_stamp(views))
-        out: LightMap = work.product("light depth map", key, inputs, build)
+        out: LightMap = work.product(Product.LIGHT_MAP.value, key, inputs, build)
         return out, self._empty[key]

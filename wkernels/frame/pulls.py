@@ -14,7 +14,6 @@ import warp as wp
 
 from wkernels.frame.map_keeper import MapKeeper
 from wkernels.frame.near_plane import NearPlane
-from wkernels.frame.result import G_BUFFER
 from wkernels.light_maps.host_map import HostMap, LightLook
 from wkernels.light_maps.storage import PLAIN_MAP
 from wkernels.projections.jitter import Jitter, jittered_view
@@ -30,23 +29,24 @@ from wkernels.scene.light_motion import FrameLights
 from wkernels.scene.lights import Light
 from wkernels.scene.model import Camera
 from wkernels.scene.views import HostView, eye_view
-from wkernels.workspace.left_out import Omission
+from wkernels.workspace.left_out import Because, Omission
+from wkernels.workspace.products import Product
 from wkernels.workspace.workspace import Workspace
 
 LightViews = Callable[[np.ndarray, Bounds, Bounds, int, HostView], list[HostView]]
 """A projection: light sample (4,), receivers' box, casters' box, map resolution, eye view -> one view per layer.
 
 It may have three attributes: ``near``, the ``NearPlane`` rule of the eye view that it gets ("user" without it);
-``left_out``, pairs (what, reason) of what its last call could not or need not do; and ``map_options``, a ``MapOptions``
-that says how its maps are stored and drawn.
+``left_out``, members of an ``Omission``: what its last call could not or need not do; and ``map_options``, a
+``MapOptions`` that says how its maps are stored and drawn.
 """
 
 
 class NothingCasts(Omission):
     """What a scene without casters saves."""
 
-    MAP = "light depth map and comparisons", "nothing casts"
-    ALL = "all but G-buffer and shading", "nothing casts"
+    MAP = "light depth map and comparisons", Because.NOTHING_CASTS
+    ALL = "all but G-buffer and shading", Because.NOTHING_CASTS
 
 
 class Pulls(Workspace):
@@ -98,6 +98,11 @@ class Pulls(Workspace):
         self.looks.clear()
         self._gbuffers.clear()
         self._receivers.clear()
+
+    @property
+    def pulled(self) -> frozenset[Product]:
+        """What of all that a frame offers this frame's technique has asked for so far."""
+        return frozenset(product for product in Product if product.value in self._products.asked)
 
     @property
     def shown(self) -> LightLook | None:
@@ -158,7 +163,7 @@ class Pulls(Workspace):
             return out
 
         inputs = (self.geometry.version, self._camera.key)
-        out: gb.GBuffer = self.product(G_BUFFER, ("g-buffer", margin), inputs, build)
+        out: gb.GBuffer = self.product(Product.G_BUFFER.value, ("g-buffer", margin), inputs, build)
         self._gbuffers[margin] = out
         return out
 
@@ -185,7 +190,7 @@ class Pulls(Workspace):
 
         # the set of a temporal method moves on every frame: one slot per size, so that nothing piles up
         inputs = (start, self.seed, source)
-        samples: LightSamples = self.product("light samples", ("samples", kind, count), inputs, build)
+        samples: LightSamples = self.product(Product.LIGHT_SAMPLES.value, ("samples", kind, count), inputs, build)
         return samples
 
     def casters(self) -> wp.uint64:
@@ -199,7 +204,7 @@ class Pulls(Workspace):
             old.refit()
             return old
 
-        mesh: wp.Mesh = self.product("caster ray structure", "casters", self.geometry.version, build)
+        mesh: wp.Mesh = self.product(Product.RAY_STRUCTURE.value, "casters", self.geometry.version, build)
         return mesh.id
 
     def caster_tree(self) -> CasterTree:
@@ -214,7 +219,8 @@ class Pulls(Workspace):
             old.refit()
             return old
 
-        builder: CasterTreeBuilder = self.product("caster tree", "caster tree", self.geometry.version, build)
+        name = Product.CASTER_TREE.value
+        builder: CasterTreeBuilder = self.product(name, name, self.geometry.version, build)
         return builder.tree
 
     @property
@@ -244,8 +250,8 @@ class Pulls(Workspace):
         """The projection's views from a light sample (4,), rebased world, of these boxes, one per layer of a map."""
         eye = self.near_plane.raised(self.eye(), receivers, self.geometry.version)
         views = self.projection(light_ws, receivers, casters, resolution, eye)
-        for what, reason in getattr(self.projection, "left_out", ()):
-            self.record(what, reason)
+        for omission in getattr(self.projection, "left_out", ()):
+            self.record(omission)
         return views
 
     def light_map(

@@ -34,7 +34,7 @@ from wkernels.temporal.shadow_buffer.record import BILINEAR, LINEAR, NEAREST, TE
 from wkernels.temporal.shadow_buffer.stillness import count_still_frames
 from wkernels.temporal.shadow_buffer.update import AT_ONCE, DISOCCLUDE, GRADUAL, UPDATE, UpdateSettings
 from wkernels.temporal.shadow_buffer.update_lanes import update_shadow_buffer_lanes
-from wkernels.workspace.left_out import Omission
+from wkernels.workspace.left_out import Because, Omission
 
 MOVERS = {"disocclude": DISOCCLUDE, "at_once": AT_ONCE, "gradual": GRADUAL, "ignore": DISOCCLUDE}
 """Treatment of moving casters' shadows by name; to ``ignore`` them no map is tagged."""
@@ -43,7 +43,7 @@ MOVERS = {"disocclude": DISOCCLUDE, "at_once": AT_ONCE, "gradual": GRADUAL, "ign
 class StepSkip(Omission):
     """What a step saves."""
 
-    UNTAGGED = "tags of moving casters", "no caster moves"
+    UNTAGGED = "tags of moving casters", Because.NO_CASTER_MOVES
     UNSMOOTHED = "neighbourhoods of pixels", "their error or penumbra is small enough"
     SETTLED = "light sample", "nothing moves and no standard error exceeds stop_error"
 
