@@ -18,7 +18,11 @@ from algorithms.projections.composition import compose
 from experiments.scenes.loader import load_scene
 from wkernels.device.twin import Twin
 from wkernels.filters import blur
+from wkernels.filters.map_images import new_image
+from wkernels.filters.mips import find_mips
 from wkernels.filters.penumbra import pull_footprint
+from wkernels.filters.pyramid import pull_pyramid
+from wkernels.filters.texels import DOUBLE, components
 from wkernels.frame.session import Session
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.lights import Light, SphereLight
@@ -55,8 +59,11 @@ STILL: list[tuple[str, dict[str, Any]]] = [
 ]
 OVER_TIME: list[tuple[str, dict[str, Any]]] = [
     ("tc_hard", {}),
-    ("tc_hard", {"movers": "reset", "history": "nearest"}),
+    ("tc_hard", {"scale_bias": True}),
+    ("tc_hard", {"blend": "published", "power": 4}),
+    ("tc_hard", {"history": "nearest", "bias": "normal"}),
     ("tc_adaptive", {}),
+    ("tc_adaptive", {"samples": 8}),
     ("tc_soft_paper", {}),
     ("tc_soft_paper", {"start": "sample"}),
     ("tc_soft_paper", {"history": "nearest", "filter_width": "penumbra"}),
@@ -198,7 +205,8 @@ def runs() -> Iterator[tuple[str, Callable[[], None]]]:
         )
     for resolution, lamp in product((8, 64, 100), ("perspective", "six faces")):
         yield f"tags and blockers {resolution} {lamp}", lambda r=resolution, k=lamp: _maps(r, LIGHTS[k])
-    for dtype, shape, radius in product((wp.vec2, wp.vec4), ((9, 16), (30, 33), (40, 100), (3, 500)), (0, 2, 40)):
+        yield f"pyramids {resolution} {lamp}", lambda r=resolution, k=lamp: _pyramids(r, LIGHTS[k])
+    for dtype, shape, radius in product(DOUBLE, ((9, 16), (30, 33), (40, 100), (3, 500)), (0, 2, 40)):
         yield f"blur {dtype.__name__} {shape} {radius}", lambda d=dtype, s=shape, r=radius: _blur(d, s, r)
 
 
@@ -213,8 +221,19 @@ def _maps(resolution: int, light: Light) -> None:
     pull_footprint(running, running.light_map(resolution, tag_moving_casters=True))
 
 
+def _pyramids(resolution: int, light: Light) -> None:
+    running = session(small.cluttered(light), 16, 16, threads=3)
+    light_map = running.light_map(resolution)
+    pull_pyramid(running, light_map)
+    for texel in DOUBLE:
+        image = new_image(running, light_map.layout, texel, None)
+        texels = np.random.default_rng(1).normal(size=image.texels.numpy().shape)
+        image.texels.assign(wp.array(texels, dtype=texel, device="cpu"))
+        find_mips(running, image)
+
+
 def _blur(dtype: Any, shape: tuple[int, int], radius: int) -> None:
-    values = np.random.default_rng(3).normal(size=(*shape, dtype._length_)).astype(np.float32)
+    values = np.random.default_rng(3).normal(size=(*shape, components(dtype))).astype(np.float32).squeeze()
     blur.separable_blur(wp.array(values, dtype=dtype, device="cpu"), blur.gaussian_weights(radius), threads=2)
 
 

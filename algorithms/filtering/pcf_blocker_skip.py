@@ -4,10 +4,8 @@
    2011, section 3.6). All hidden: dark, which the sources do not use but which is as true.
 2. Everywhere else the filter of section 3.6: the mean of 64 Poisson taps of 2 x 2 comparisons.
 
-The thesis reports up to 15 % more frames a second. Measured at 1280 x 720 on the CPU, where the filter is left out for
-runs of 64 pixels, on `paris`, `overlap` and `winter`: the filter runs for 67, 36 and 63 % of the pixels and the pass
-takes 0.61, 0.39 and 0.70 of the time without a search. Miss rate, the share of pixels off by more than 0.01: 0.7, 0.2
-and 2.2 % with 9 taps on the rim, 5.2, 1.1 and 5.9 % with 9 all over the disc. Misses are lit rather than dark.
+The thesis reports up to 15 % more frames a second; docs/parts.md has what is saved here, and what the search misses.
+On the CPU the filter is left out for runs of 64 pixels. Misses are lit rather than dark.
 
 Deviations: ``rim`` puts the search's taps at the centre and on the rim of the filter's disc, through which every edge
 enters, instead of all over the disc as the filter's are (``disc``).

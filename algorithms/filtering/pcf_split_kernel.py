@@ -27,11 +27,11 @@ from algorithms.filtering._taps import TapParams, tap_count
 from algorithms.technique import Frame, Limit, MapTechnique, setting
 from wkernels.device.lanes import LANES, Floats, flat_floats, store_run
 from wkernels.device.twin import Twin
-from wkernels.filters.layer_density import pull_layer_densities
 from wkernels.filters.penumbra import penumbra_filter, pull_taps
 from wkernels.filters.penumbra_lanes import keep_without_receiver, penumbra_filter_run
 from wkernels.light_maps.comparison_lanes import SpreadRun
 from wkernels.light_maps.host_map import HostMap
+from wkernels.light_maps.layer_density import pull_layer_densities
 from wkernels.light_maps.light_map import Bias, LightMap, texels_per_length
 from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.light_maps.receivers import receiver_of_pixel

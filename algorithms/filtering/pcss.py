@@ -138,14 +138,13 @@ class Pcss(MapTechnique):
 
     def shade(self, frame: Frame, gbuffer: GBuffer, light_map: HostMap, visibility_out: wp.array) -> None:
         p = self.params
-        footprint = pull_footprint(frame, light_map)
+        maps = [gbuffer, light_map.map, pull_footprint(frame, light_map)]
         counts = [p.blocker_taps, p.filter_taps]
         # without an area all taps fall on one spot; means of bilinear comparisons are not the same when rounded
         more = 0 if frame.light.has_area or p.bilinear else sum(counts) - 2
         if more and frame.leave_out(Skip.TAPS, count=more):
             counts = [1, 1]
         taps = [pull_taps(frame, p.kernel, count) for count in counts]
+        options = [p.device_bias, *taps, int(p.rotate), int(p.bilinear), frame.seed]
         with frame.timed("penumbra filter"):
-            options = [int(p.rotate), int(p.bilinear), frame.seed]
-            inputs = [gbuffer, light_map.map, footprint, p.device_bias, *taps, *options]
-            frame.launch(FILTER, visibility_out.shape, inputs, [visibility_out])
+            frame.launch(FILTER, visibility_out.shape, [*maps, *options], [visibility_out])

@@ -27,11 +27,11 @@ from wkernels.device.twin import Twin
 from wkernels.filters.neighbourhood_filter import filter_image
 from wkernels.light_maps.comparison_lanes import compare_nearest_run
 from wkernels.light_maps.light_map import Bias, LightMap, compare_nearest
+from wkernels.light_maps.point_lanes import points_of_run
 from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.light_maps.receivers import receiver_of_pixel
 from wkernels.raster.gbuffer import PADDING, GBuffer, to_light
 from wkernels.scene.geometry import RECEIVES
-from wkernels.temporal.history_lanes import points_of_run
 from wkernels.workspace.products import Product
 
 ANY_DEPTH = 1e30  # as a share of the pixel's own

@@ -13,7 +13,7 @@ from algorithms.projections.projection import LEAST_ANGLE, Fit, Stabiliser, Warp
 from algorithms.projections.schema import Projection, read_projection
 from algorithms.projections.table import fits, stabilisers, warps
 from wkernels.errors import InputError
-from wkernels.frame.session import LightViews
+from wkernels.frame.light_side import LightViews
 from wkernels.light_maps.storage import PLACES, MapOptions
 from wkernels.projections.clipping import ConvexBody, clip_polyhedron
 from wkernels.projections.focusing import LightSpace, depth_range, fitted_view, light_space, projective_view, warp_shape

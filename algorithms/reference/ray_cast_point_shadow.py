@@ -31,7 +31,7 @@ class RayCastPointShadow(Technique):
         visibility = frame.visibility_buffer(gbuffer)
         if frame.nothing_casts(visibility):
             return visibility
-        casters = frame.casters()
+        casters = frame.caster_mesh()
         with frame.timed("shadow rays"):
             light_ws = wp.vec4(*frame.light.centre)
             frame.launch(trace_point, visibility.shape, [gbuffer, casters, light_ws, frame.reach], [visibility])

@@ -75,7 +75,7 @@ class ReferenceMultisample(Technique):
         else:
             kernel, inputs = (
                 trace_light,
-                [gbuffer, frame.casters(), samples.points_ws, samples.weights, hull, int(proves)],
+                [gbuffer, frame.caster_mesh(), samples.points_ws, samples.weights, hull, int(proves)],
             )
         with frame.timed("shadow rays"):
             frame.launch(kernel, visibility.shape, inputs, [visibility, proof])

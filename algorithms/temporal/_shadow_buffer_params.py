@@ -7,27 +7,15 @@ from typing import Any, Literal
 from pydantic import model_validator
 
 from algorithms.technique import MapParams, setting
-from wkernels.temporal.shadow_buffer.mover_shadow import MoverMap
-from wkernels.temporal.shadow_buffer.step import StepSkip
-from wkernels.workspace.left_out import Omission
 
 Movers = Literal["disocclude", "at_once", "gradual", "ignore"]
 
 
 class ShadowBufferParams(MapParams):
-    """What ``wkernels.temporal.shadow_buffer.step`` reads."""
+    """What ``ShadowBufferTechnique`` reads."""
 
     sample_set: Literal["halton", "r2", "poisson_disc", "stratified", "random"] = setting(
         "halton", "point set on the light", unit="name", source="Scherzer 2009, sec. 4"
-    )
-    importance: float = setting(
-        0.0,
-        "share of the samples that go where pixels contest the light, weighted by the inverse of their density; "
-        "gains nothing on the scenes here; published: 0",
-        unit="1",
-        source="Scherzer 2009, sec. 5",
-        ge=0.0,
-        le=0.9,
     )
     filter: bool = setting(
         True, "smooth what is shown while its error is large", unit="yes/no", source="Scherzer 2009, sec. 3.3"
@@ -158,7 +146,7 @@ class ShadowBufferParams(MapParams):
         0.9,
         "a: factor on rho and n before each test once 1 / (1 - a) are remembered; for ageing: frames",
         unit="1",
-        source="CATALOGUE tc_future",
+        source="own specification",
         ge=0.0,
         lt=1.0,
     )
@@ -170,19 +158,8 @@ class ShadowBufferParams(MapParams):
         le=1e6,
     )
 
-    def possible(self, omissions: tuple[Omission, ...]) -> tuple[Omission, ...]:
-        """Those that can happen with these parameters."""
-        out = {MoverMap.NO_MOVERS: self.mover_map == "none", StepSkip.SETTLED: self.stop_error == 0.0}
-        return tuple(omission for omission in omissions if not out.get(omission, False))
-
     @model_validator(mode="after")
     def _one_map_of_movers(self) -> Any:
         if self.lights != "asked" and self.mover_map != "none":
             raise ValueError("mover_map has a map of one light: it goes with lights: asked only")
-        return self
-
-    @model_validator(mode="after")
-    def _one_light_of_importance(self) -> Any:
-        if self.lights != "asked" and self.importance > 0.0:
-            raise ValueError("importance is learnt of one light: it goes with lights: asked only")
         return self

@@ -1,10 +1,9 @@
 """Soft shadows from light depth maps that are kept, not drawn anew: our own, after Scherzer et al. 2009.
 
 Scherzer, Schwaerzler, Mattausch and Wimmer 2009 draw one map a frame from the next point of the light and remember in
-screen space what it said. Measured on the walkthroughs here (docs/tc_adaptive.md), a fifth to two fifths of a frame go
-into a map that is thrown away, and the error that is left has other causes than few samples: while the eye moves 39 to
-77 % of the squared error lie where n > 16, and grow with the age of interpolated history; shadows of movers, which
-start anew in every frame, have 17 to 51 %. So here
+screen space what it said. A good part of a frame then goes into a map that is thrown away, and the error that is left
+has other causes than few samples: most of it lies where n > 16, and grows with the age of interpolated history; and
+shadows of movers start anew in every frame (docs/tc_adaptive.md has the figures). So here
 
 1. maps of the casters that stand still are kept, a pool of ``samples`` points of the light (Halton), drawn ``draws`` a
    frame until it is full, those of several layers a part at a time; meanwhile a pixel is tested only against what is
@@ -14,23 +13,20 @@ start anew in every frame, have 17 to 51 %. So here
    remembered up to n = ``samples``, and under a moving eye clipped to ``clip`` standard errors round what the frame's
    own tests say;
 3. history is carried, not interpolated (``carried_history``): a pixel takes over one texel of the last frame whole and
-   remembers how far off its place is. Without that it sticks to the screen under a slow eye (four times the error at
-   0.3 pixels a frame);
+   remembers how far off its place is. Without that it sticks to the screen under a slow eye;
 4. movers have maps of their own, ``mover_maps`` small ones that hold nothing else, drawn in one go in every frame from
    points of the light that the pool has too. What they hide of the light, where the pool's map of the same point finds
    it open, is taken from the visibility of what stands still. History never sees a mover: nothing trails and nothing
    starts anew;
 5. a view that stands still goes on: once its pixels have met every map, a new point of the light replaces an old one
-   in each frame, and the error goes on falling, as n^-0.6 where that was measured. After ``still_samples`` frames
-   nothing is done any more.
+   in each frame, and the error goes on falling. After ``still_samples`` frames nothing is done any more.
 
 The standard error knows that Halton points are spread evenly over the light: only those err through whose part of it
-the border of what is hidden passes, so that it falls with n^-3/4 (``hidden_variance``). On eight still views it is
-.5 to 1.9 times the errors' root mean square, and two of it cover 91 to 99.8 % of the penumbra. That of equation 3,
+the border of what is hidden passes, so that it falls with n^-3/4 (``hidden_variance``). That of equation 3,
 sqrt(psi (1 - psi) / (n - 1)), is 0 where all tests agree so far, false certainty for 44 % of pixels with psi = .05 at
 n = 16: half a test of either outcome is added here (Jeffreys' prior). Other sample sets get the standard error of
-independent points, that of the Beta distribution. Neither knows of the maps' texels,
-which are most of the error where these are coarse.
+independent points, that of the Beta distribution. Neither knows of the maps' texels, which are most of the error where
+these are coarse.
 
 Deviations from Scherzer et al. 2009: all of the above, and no overscan (a pixel at the border is as cheap as any new
 one), no start by percentage-closer soft shadows, no filter for show. Their depth test of history is kept.
@@ -53,16 +49,13 @@ import numpy as np
 import warp as wp
 
 from algorithms.projections.composition import Composition
-from algorithms.technique import Limit, MapParams, Needs, Technique, setting
-from wkernels.device.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
-from wkernels.frame.session import Session as Frame
-from wkernels.light_maps.receiver_lanes import lane_views
-from wkernels.raster.gbuffer import PADDING, GBuffer
+from algorithms.technique import Frame, Limit, MapParams, Needs, Technique, setting
+from wkernels.device.structs import filled
+from wkernels.raster.gbuffer import GBuffer
 from wkernels.temporal.map_pool.kept_maps import KeptMaps, Schedule
-from wkernels.temporal.map_pool.lanes import pool_views
 from wkernels.temporal.map_pool.mover_maps import MoverMaps, mover_reach
-from wkernels.temporal.map_pool.update import PoolSteps, add_movers, update_sums
-from wkernels.temporal.map_pool.update_lanes import add_movers_lanes, update_sums_lanes
+from wkernels.temporal.map_pool.update import PoolSteps
+from wkernels.temporal.map_pool.update_lanes import ADD_MOVERS, UPDATE_SUMS
 from wkernels.workspace.left_out import Because, Omission
 from wkernels.workspace.products import Product
 
@@ -160,7 +153,7 @@ class TcAdaptive(Technique):
         shape = visibility.shape
         error = frame.standard_error = frame.buffer("standard error", shape, wp.float32)
         kept: KeptMaps = frame.product(
-            Product.KEPT_MAPS.value, "kept maps", (), lambda old: old or KeptMaps(frame, p.samples, p.resolution)
+            Product.KEPT_MAPS, "kept maps", (), lambda old: old or KeptMaps(frame, p.samples, p.resolution)
         )
         history = frame.history("carried", lambda: wp.zeros(shape, dtype=wp.vec4, device=frame.device))
 
@@ -178,15 +171,9 @@ class TcAdaptive(Technique):
 
         # 2: tests of what stands still, added to what each pixel already knows
         steps = self._steps(frame, kept, plan, history.valid)
-        in_lanes, runs = uses_lanes(frame.device), (shape[0], runs_per_row(shape[1]))
         with frame.timed("tests"):
-            inputs = [kept.pool, steps, history.previous_view or gbuffer.view]
-            outputs = [history.current, visibility, error]
-            if in_lanes:
-                views = [lane_views(gbuffer), runs_of(gbuffer.depth, Floats, PADDING), pool_views(kept.pool)]
-                frame.launch(update_sums_lanes, runs, [*views, *inputs, flat_floats(history.previous)], outputs)
-            else:
-                frame.launch(update_sums, shape, [gbuffer, *inputs, history.previous], outputs)
+            inputs = [gbuffer, kept.pool, steps, history.previous_view or gbuffer.view, history.previous]
+            frame.launch(UPDATE_SUMS, shape, inputs, [history.current, visibility, error])
 
         # 3: movers
         if frame.geometry.casters_move or not frame.leave_out(Skip.NO_MOVERS):
@@ -211,29 +198,27 @@ class TcAdaptive(Technique):
         shown = frame.geometry.version, points.tobytes()
         movers = frame.product("mover maps", "mover maps", shown, draw).pool
         with frame.timed("mover tests"):
-            inputs = [kept.pool, movers, maps, p.device_bias, mover_reach(frame.light, box), p.even]
-            outputs = [visibility, error]
-            if uses_lanes(frame.device):
-                views = [lane_views(gbuffer), runs_of(gbuffer.depth, Floats, PADDING)]
-                views += [pool_views(kept.pool), pool_views(movers)]
-                runs = (visibility.shape[0], runs_per_row(visibility.shape[1]))
-                frame.launch(add_movers_lanes, runs, [*views, *inputs], outputs)
-            else:
-                frame.launch(add_movers, visibility.shape, [gbuffer, *inputs], outputs)
+            inputs = [gbuffer, kept.pool, movers, maps, p.device_bias, mover_reach(frame.light, box), p.even]
+            frame.launch(ADD_MOVERS, visibility.shape, inputs, [visibility, error])
 
     def _steps(self, frame: Frame, kept: KeptMaps, plan: Schedule, has_history: bool) -> PoolSteps:
         p = self.params
-        out = PoolSteps()
-        out.bias, out.filled, out.head = p.device_bias, plan.filled, plan.head
-        out.tests, out.new_tests = p.tests, p.new_tests
-        out.clip, out.limit = p.clip, float(plan.filled)
         still = kept.still_frames(frame) > 0
-        if still:  # nothing drifts
-            out.clip = 0.0
+        tests, limit = p.tests, float(plan.filled)
         if plan.fills and (plan.added or still):  # every map counts once, and the time is needed to draw it
-            out.tests = plan.added
+            tests = plan.added
         if plan.refines:
-            out.tests, out.limit = plan.added, NO_LIMIT
-        out.even, out.has_history = p.even, int(has_history)
-        out.depth_epsilon = p.depth_epsilon * frame.reach
-        return out
+            tests, limit = plan.added, NO_LIMIT
+        return filled(
+            PoolSteps,
+            bias=p.device_bias,
+            head=plan.head,
+            filled=plan.filled,
+            tests=tests,
+            new_tests=p.new_tests,
+            limit=limit,
+            even=p.even,
+            clip=0.0 if still else p.clip,  # where the eye stands still nothing drifts
+            has_history=int(has_history),
+            depth_epsilon=p.depth_epsilon * frame.reach,
+        )

@@ -8,14 +8,14 @@ last frame is read by reprojection; a texel of it counts if it saw the same surf
 and the swimming of maps that follow the eye averages out: warped ones have no other remedy (Stingl 2011, sections 3.5
 and 8.2.1).
 
-Deviations; the original was not at hand, the formulas are those of the catalogue:
+Deviations; the original was not at hand, the formulas are our reading of those who cite it:
 - h = c s + (1 - c) h_prev never settles: a confident test overrides all that came before. By default h is the mean of
   all tests weighted by c / E(c), E(c) = 2 / ((m + 1) (m + 2)), over at most ``memory`` frames; m grows with the root of
   the frames that are known, so that a new point takes its first tests as they are and an old one those at texel
   centres only. ``blend: published`` is the recursion with a constant m.
 - A slope bias allows for half a texel of the receiver's plane. ``scale_bias`` allows only for the point's own distance
-  from the centre of its texel: shadows of smooth casters on smooth receivers begin where they should (on ``overlap`` a
-  third less error), but coarse facets that cast upon each other get acne in their creases, so it is off by default.
+  from the centre of its texel: shadows of smooth casters on smooth receivers begin where they should (docs/parts.md),
+  but coarse facets that cast upon each other get acne in their creases, so it is off by default.
 - Four history texels are interpolated, each with its own depth test on the receiver's plane: the point's own depth
   would reject slanted ground. Every read blurs; the variance of all reads behind a sum is kept beside it, and frames
   are forgotten as ``blur`` demands.
@@ -38,15 +38,12 @@ from typing import Literal
 import numpy as np
 import warp as wp
 
-from algorithms.technique import Limit, MapParams, Needs, Technique, setting
-from wkernels.device.lanes import Floats, flat_floats, runs_of, runs_per_row, uses_lanes
-from wkernels.frame.session import Session as Frame
-from wkernels.light_maps.receiver_lanes import lane_views
+from algorithms.technique import Frame, Limit, MapParams, Needs, Technique, setting
+from wkernels.device.structs import filled
 from wkernels.projections.jitter import frame_jitter
-from wkernels.raster.gbuffer import PADDING
 from wkernels.temporal.confidence.blending import Blending
-from wkernels.temporal.confidence.history import ConfidentSettings, add_confident_test
-from wkernels.temporal.confidence.history_lanes import add_confident_test_lanes
+from wkernels.temporal.confidence.history import ConfidentSettings
+from wkernels.temporal.confidence.history_lanes import ADD_CONFIDENT_TEST
 from wkernels.temporal.shadow_buffer.record import BILINEAR, NEAREST
 from wkernels.workspace.left_out import Because, Omission
 from wkernels.workspace.products import Product
@@ -82,7 +79,7 @@ class TcHard(Technique):
             1.0,
             "width of the square that the map's shifts fill; 0: no shift, and nothing converges",
             unit="texels",
-            source="CATALOGUE tc_hard",
+            source="Scherzer, Jeschke and Wimmer 2007; the range is our own specification",
             ge=0.0,
             le=1.0,
         )
@@ -90,7 +87,7 @@ class TcHard(Technique):
             0.0,
             "range of the angles that the map is turned by, about the light's direction; texels grow by up to sqrt(2)",
             unit="degrees",
-            source="CATALOGUE tc_hard",
+            source="Scherzer, Jeschke and Wimmer 2007; the range is our own specification",
             ge=0.0,
             le=90.0,
         )
@@ -101,7 +98,7 @@ class TcHard(Technique):
             9,
             "m: exponent of the confidence, constant where published, else its greatest",
             unit="1",
-            source="CATALOGUE tc_hard, 3 to 15",
+            source="Scherzer, Jeschke and Wimmer 2007; 3 to 15 is our reading",
             ge=0,
             le=64,
         )
@@ -180,25 +177,25 @@ class TcHard(Technique):
         with frame.timed("hard shadows over time"):
             inputs = [gbuffer, light_map.map, self._settings(history.valid)]
             inputs += [history.previous_view or gbuffer.view, history.previous]
-            outputs = [history.current, visibility]
-            if uses_lanes(frame.device):
-                flat = [lane_views(gbuffer, light_map.map), runs_of(gbuffer.depth, Floats, PADDING)]
-                flat.append(flat_floats(history.previous))
-                runs = (shape[0], runs_per_row(shape[1]))
-                frame.launch(add_confident_test_lanes, runs, [*flat, *inputs], outputs)
-            else:
-                frame.launch(add_confident_test, shape, inputs, outputs)
+            frame.launch(ADD_CONFIDENT_TEST, shape, inputs, [history.current, visibility])
         return visibility
 
     def _settings(self, has_history: bool) -> ConfidentSettings:
         p = self.params
-        out = ConfidentSettings()
-        out.bias, out.has_history, out.depth_epsilon = p.device_bias, int(has_history), p.depth_epsilon
-        out.scales_bias = int(p.scale_bias)
-        out.texel_steps = BILINEAR if p.history == "bilinear" else NEAREST
-        blending = Blending()
-        blending.power, blending.growth = p.power, p.growth
-        blending.memory, blending.blur = p.memory, p.blur**2
-        blending.recursive = int(p.blend == "published")
-        out.blending = blending
-        return out
+        blending = filled(
+            Blending,
+            power=p.power,
+            growth=p.growth,
+            memory=p.memory,
+            recursive=int(p.blend == "published"),
+            blur=p.blur**2,
+        )
+        return filled(
+            ConfidentSettings,
+            bias=p.device_bias,
+            scales_bias=int(p.scale_bias),
+            blending=blending,
+            has_history=int(has_history),
+            depth_epsilon=p.depth_epsilon,
+            texel_steps=BILINEAR if p.history == "bilinear" else NEAREST,
+        )

@@ -18,11 +18,11 @@ Deviations, where the paper is silent or wrong:
   plane, and only texels that pass are interpolated: no surface is mixed with another. ``history: nearest`` reads one
   texel, but history then sticks to the screen under an eye that moves by less than half a pixel a frame.
 - ``turned_away``: history spreads the lit rim of curved casters over their dark side and back, as both pass the depth
-  test. What the whole light lies behind is dark at once, holds no history and gives none: along ``overlap`` and
-  ``big_penumbra`` (walkthroughs) the error is 7 and 6 % smaller in every frame; ``tested`` is the published form.
+  test. What the whole light lies behind is dark at once, holds no history and gives none; ``tested`` is the
+  published form.
 - ``agreement``: a moving eye interpolates history anew in every frame. Where its texels differ n is limited to what the
-  difference is worth (``temporal.sample_window``): 4, 7 and 2 % less error along the three walkthroughs. A fixed window
-  (``largest_n``) of 32 gains a fifth of that; ``stop_error`` ends the drawing of a still picture.
+  difference is worth (``temporal.sample_window``). ``largest_n`` is a fixed window in its place, and ``stop_error``
+  ends the drawing of a still picture. docs/parts.md has what each of these parts is worth.
 - Equation 6 maps a length to the near plane only; here it is pixels, pw H / (2 depth tan(fov / 2)).
 - A filter as wide as the penumbra keeps its bias until the error reaches t (psi = 1/2: n = 626), so that errors fall
   with the fourth root of n at best. From SE = 1/4 on its width is in proportion to SE, which follows the samples;
@@ -32,13 +32,11 @@ Deviations, where the paper is silent or wrong:
 - Equation 7 counts frames, but only frames with a blocker add to its sum: shadowed samples are counted.
 - n stops at 2048 in the published float16 buffer while rho goes on: ``buffer: float16`` halves both at 1024 (float32
   at 2^22). ``cap: false`` leaves that out: a psi of 0.3 reaches 1 near frame 6800.
-- ``kept_views`` (shadow buffers of views that a cut may come back to) and ``importance`` (a light that is sampled where
-  pixels contest it) are the paper's future work and beyond; both are off.
+- ``kept_views``, shadow buffers of views that a cut may come back to, are beyond the paper, and off.
 - Under a mover's shadow the sums of a frame are shown, not stored, nor is a start whose blocker search met a mover: the
   next frame starts anew, so that nothing trails. ``movers`` has the ways of Schwaerzler 2009 besides, and none at all.
 - ``mover_map: centre`` is their proposal for moving objects (section 5): a second map that holds nothing else
-  (``temporal.mover_shadow``). On ``static_moving_overlap`` and ``moving_blocker_walkthrough`` a seventh and half of the
-  error goes with it. Movers' shadows then have the faults of percentage-closer soft shadows.
+  (``temporal.mover_shadow``). Movers' shadows then have the faults of percentage-closer soft shadows.
 - ``lights`` is their proposal for several lights in one buffer, which sums all alike; here they are weighted by
   radiance (``temporal.many_lights``). The brightest light's start searches for blockers, the others' are their first
   tests. A mover that only another light sees enters one frame late.
@@ -55,29 +53,21 @@ on surfaces that move by less than epsilon a frame, as points are followed by th
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 import warp as wp
 from pydantic import field_validator
 
-from algorithms.technique import Limit, Needs, Technique, setting
+from algorithms.technique import Frame, Limit, setting
+from algorithms.temporal._shadow_buffer import SKIPS, ShadowBufferTechnique
 from algorithms.temporal._shadow_buffer_params import ShadowBufferParams
+from wkernels.device.structs import filled
 from wkernels.filters.neighbourhood_filter import filter_image
 from wkernels.filters.penumbra import check_tap_count, pull_taps
-from wkernels.frame.session import Session as Frame
-from wkernels.temporal.shadow_buffer.many_lights import Lights
-from wkernels.temporal.shadow_buffer.mover_shadow import MoverMap
-from wkernels.temporal.shadow_buffer.step import (
-    StepSkip,
-    add_sample,
-    begin_step,
-    count_unsmoothed,
-    end_step,
-    is_settled,
-)
-from wkernels.temporal.shadow_buffer.update import START_PCSS, START_SAMPLE
+from wkernels.temporal.shadow_buffer.rules import BlockerMean, Smoothing
+from wkernels.temporal.shadow_buffer.start import START_PCSS, START_SAMPLE, Start, start_by
+from wkernels.temporal.shadow_buffer.step import ShadowStep, count_unsmoothed
 from wkernels.workspace.left_out import Because, Omission
-from wkernels.workspace.products import Product
 
 
 class Skip(Omission):
@@ -86,26 +76,12 @@ class Skip(Omission):
     TAPS_ALIKE = "taps of starts", Because.NO_AREA
 
 
-class TcSoftPaper(Technique):
+class TcSoftPaper(ShadowBufferTechnique):
     """One light sample a frame, a shadow buffer, a start by PCSS and a filter for show."""
 
     name = "tc_soft_paper"
-    family = "temporal"
     paper = ("scherzer2009tc", "schwaerzler2009", "fernando2005pcss")
-    products = (Product.G_BUFFER, Product.LIGHT_MAP, Product.LIGHT_SAMPLES, Product.HISTORY)
-    needs = Needs(area=True, history=True)
-    stability_limits: ClassVar[dict[str, str]] = {
-        "light_place": "no texel falls on a receiver in whose plane the light lies"
-    }
-    bias_sign = "none"
-    may_leave_out = (
-        Lights.BLACK_LIGHT,
-        StepSkip.UNTAGGED,
-        StepSkip.UNSMOOTHED,
-        StepSkip.SETTLED,
-        MoverMap.NO_MOVERS,
-        Skip.TAPS_ALIKE,
-    )
+    may_leave_out = (*SKIPS, Skip.TAPS_ALIKE)
     limits = (
         Limit(
             equals="multi_shadow_map",
@@ -171,40 +147,51 @@ class TcSoftPaper(Technique):
         def _fit_box(cls, taps: int) -> int:
             return check_tap_count(taps, "box")
 
-    def leaves_out(self) -> tuple[Omission, ...]:
-        possible: tuple[Omission, ...] = self.params.possible(self.may_leave_out)
-        return possible
-
     def render(self, frame: Frame) -> wp.array:
         if (lit := frame.lit_without_casters(standard_error=0.0)) is not None:
             return lit
-        p = self.params
-        gbuffer = frame.gbuffer(overscan=p.overscan)
-        visibility = frame.visibility_buffer(gbuffer)
-        frame.standard_error = frame.buffer("standard error", visibility.shape, wp.float32)
-        step, settings = begin_step(frame, gbuffer, p)
-        if is_settled(frame, step, p):
-            return visibility
+        p, step = self.params, self.begin(frame)
+        if self.is_settled(frame, step):
+            return step.visibility
 
-        # a start by soft shadows of the frame's map
-        settings.start, settings.start_weight = int(START_PCSS if p.start == "pcss" else START_SAMPLE), p.start_weight
-        counts = [p.blocker_taps, p.filter_taps]
-        more = 0 if frame.light.has_area or p.start == "sample" else sum(counts) - 2
-        if more and frame.leave_out(Skip.TAPS_ALIKE, count=more):
-            counts = [1, 1]
-        settings.blocker_taps, settings.filter_taps = (pull_taps(frame, "box", n) for n in counts)
-        settings.first_blockers = float(p.blocker_taps) if p.start == "pcss" else 0.0
-        settings.depth_epsilon = p.depth_epsilon * frame.reach
-        settings.smooths, settings.error_threshold = int(p.filter), p.error_threshold
-        settings.narrows = int(p.filter_width == "error")
+        # 1. A point that is new starts from soft shadows of the frame's map (section 3.3), of k blockers (equation 7).
+        start = self._start(frame, step)
+        mean = filled(BlockerMean, first_blockers=float(p.blocker_taps) if p.start == "pcss" else 0.0, counts_tests=0)
 
-        # its test, added to what each point already knows
-        add_sample(frame, step, settings, p)
+        # 2. What is uncertain, by its standard error (equation 3), asks for a filter as wide as its penumbra (6).
+        smoothing = filled(
+            Smoothing,
+            asks=int(p.filter),
+            narrows=int(p.filter_width == "error"),
+            half_widths=0.5,
+            error_threshold=p.error_threshold,
+            least_samples=0.0,
+        )
 
-        # smoothed where that is still uncertain
+        # 3. The test of the light's next point (equation 1) is added to what the point knows (2, 5), where the depth
+        #    that was stored with that is its own (4).
+        self.add_samples(
+            frame, step, start=start, mean=mean, smoothing=smoothing, epsilon=p.depth_epsilon * frame.reach
+        )
+
+        # 4. Shown is psi, smoothed where it was asked for (section 3.3).
         if p.filter:
             count_unsmoothed(frame, step)
         with frame.timed("neighbourhood filter"):
-            filter_image(frame, step.psi_depth, step.half_width, p.taps, p.filter_depth_range, visibility)
-        end_step(frame, step, p, visibility)
-        return visibility
+            filter_image(frame, step.psi_depth, step.half_width, p.taps, p.filter_depth_range, step.visibility)
+
+        # 5. Movers may have a map of their own (section 5).
+        self.add_movers(frame, step)
+        return step.visibility
+
+    def _start(self, frame: Frame, step: ShadowStep) -> Start:
+        p = self.params
+        if p.start == "sample":
+            return start_by(START_SAMPLE)
+        counts = [p.blocker_taps, p.filter_taps]
+        fewer = 0 if frame.light.has_area else sum(counts) - 2
+        if fewer and frame.leave_out(Skip.TAPS_ALIKE, count=fewer):
+            counts = [1, 1]
+        blocker_taps, filter_taps = (pull_taps(frame, "box", count) for count in counts)
+        weight = p.start_weight * step.turns[0].weight
+        return start_by(START_PCSS, weight=weight, blocker_taps=blocker_taps, filter_taps=filter_taps)

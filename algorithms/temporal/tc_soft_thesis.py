@@ -14,26 +14,24 @@ The other published variant is ``tc_soft_paper`` (Scherzer et al. 2009). Choices
 the printed form is worth a look:
 - n = 1 has no standard error (5.3 is 0/0): 1.
 - ``start``: section 5.2.3 never stores the blur; the shader stores a new point's as 16 samples, rho = 8 (blur + tau)
-  (``blur``). One map's blur then outweighs the next 16: along ``overlap`` the error is 15 % larger.
+  (``blur``). One map's blur then outweighs the next 16. docs/parts.md has what this and other parts are worth.
 - ``pixel_size``: equations 5.9 and 5.10 give a length on the near plane, the shader divides 0.1 by the depth; both take
   the frame's height for 1. Here it is pixels. The published radius is a whole penumbra width (``filter_radius: 1``),
-  which blurs twice as wide as the penumbra is: 8 % more error there.
+  which blurs twice as wide as the penumbra is.
 - ``kernel``: opposite taps, as depth ranges cut the asymmetric published set to a shift of edges on slanted ground.
 - ``zero_blur``: the shader takes a neighbourhood that is wholly lit for none.
 - ``blocker_mean``: equation 5.7 counts all frames, where only those with a blocker add to the sum.
 - ``movers``: ``gradual`` is the text's, with Delta net of the frame's own test, or n would stand still at the shader's
   Delta = 1; ``at_once`` is the shader, which drops everything in one frame.
 - ``turned_away``: surfaces behind which the whole light lies are dark at once and take no part in history, which would
-  spread the lit rim of curved casters over them: 9 and 7 % less error along ``overlap`` and ``big_penumbra``.
-- ``agreement``: n of history whose texels differ is limited to what that is worth (``temporal.sample_window``): 3, 8
-  and 1 % less error along the three walkthroughs.
+  spread the lit rim of curved casters over them.
+- ``agreement``: n of history whose texels differ is limited to what that is worth (``temporal.sample_window``).
 - ``history``: ``linear`` is the shader's; it mixes tags and sentinels of four texels. ``bilinear`` tests each texel, on
   the receiver's plane.
 - ``mover_map: centre``: as in ``tc_soft_paper``.
 - ``lights``: as in ``tc_soft_paper``.
 - ``ageing``: light that moves is left open there (section 5.4.1); as in ``tc_soft_paper``.
-- ``kept_views`` and ``importance``: shadow buffers of earlier views, and more samples where pixels contest the light;
-  neither is published.
+- ``kept_views``: shadow buffers of earlier views; not published.
 - s_min and s_max are the shader's, 1/50 and 1/5; the text's example has 1/32 and 1/8. The gate is the text's n < 16.
 - Divisions by a depth or count of 0 (5.18 on the first frame) are guarded. The blur reads this frame's psi, as in the
   text; the shader reads the last frame's. A search that meets a moving blocker tags its pixel, too.
@@ -45,33 +43,22 @@ caster, as the light sees it, leaves no tag; lag on surfaces that move by less t
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import warp as wp
 from pydantic import model_validator
 
-from algorithms.technique import Limit, Needs, Technique, setting
+from algorithms.technique import Frame, Limit, setting
+from algorithms.temporal._shadow_buffer import SKIPS, ShadowBufferTechnique
 from algorithms.temporal._shadow_buffer_params import Movers, ShadowBufferParams
-from wkernels.device.lanes import flat_floats, flat_pairs, runs_per_row, uses_lanes
+from wkernels.device.structs import filled
 from wkernels.filters.neighbourhood_filter import pull_opposite_taps
 from wkernels.filters.penumbra import pull_taps
-from wkernels.frame.session import Session as Frame
-from wkernels.temporal.neighbourhood_blend import BLEND, BlendSettings, blend_neighbourhood_lanes
-from wkernels.temporal.shadow_buffer.many_lights import Lights
-from wkernels.temporal.shadow_buffer.mover_shadow import MoverMap
-from wkernels.temporal.shadow_buffer.record import TEXEL_TYPES
-from wkernels.temporal.shadow_buffer.step import (
-    ShadowStep,
-    StepSkip,
-    add_sample,
-    begin_step,
-    count_unsmoothed,
-    end_step,
-    is_settled,
-)
-from wkernels.temporal.shadow_buffer.update import START_SAMPLE, START_SEARCH
+from wkernels.temporal.neighbourhood_blend import BLEND, BlendSettings
+from wkernels.temporal.shadow_buffer.rules import BlockerMean, Smoothing
+from wkernels.temporal.shadow_buffer.start import START_SAMPLE, START_SEARCH, Start, start_by
+from wkernels.temporal.shadow_buffer.step import ShadowStep, count_unsmoothed
 from wkernels.workspace.left_out import Because, Omission
-from wkernels.workspace.products import Product
 
 
 class Skip(Omission):
@@ -80,26 +67,12 @@ class Skip(Omission):
     POINTLESS = "blocker searches and neighbourhoods", Because.NO_AREA
 
 
-class TcSoftThesis(Technique):
+class TcSoftThesis(ShadowBufferTechnique):
     """One light sample a frame, a shadow buffer, and a blur in the eye's view that gives way to the samples."""
 
     name = "tc_soft_thesis"
-    family = "temporal"
     paper = ("schwaerzler2009", "scherzer2009tc")
-    products = (Product.G_BUFFER, Product.LIGHT_MAP, Product.LIGHT_SAMPLES, Product.HISTORY)
-    needs = Needs(area=True, history=True)
-    stability_limits: ClassVar[dict[str, str]] = {
-        "light_place": "no texel falls on a receiver in whose plane the light lies"
-    }
-    bias_sign = "none"
-    may_leave_out = (
-        Lights.BLACK_LIGHT,
-        StepSkip.UNTAGGED,
-        StepSkip.UNSMOOTHED,
-        StepSkip.SETTLED,
-        MoverMap.NO_MOVERS,
-        Skip.POINTLESS,
-    )
+    may_leave_out = (*SKIPS, Skip.POINTLESS)
     limits = (Limit(equals="multi_shadow_map", params={"filter": False}, other_params={"samples": 16}, frames=16),)
 
     class Params(ShadowBufferParams):
@@ -183,36 +156,53 @@ class TcSoftThesis(Technique):
                 )
             return self
 
-    def leaves_out(self) -> tuple[Omission, ...]:
-        possible: tuple[Omission, ...] = self.params.possible(self.may_leave_out)
-        return possible
-
     def render(self, frame: Frame) -> wp.array:
         if (lit := frame.lit_without_casters(standard_error=0.0)) is not None:
             return lit
-        p = self.params
-        gbuffer = frame.gbuffer(overscan=p.overscan)
-        visibility = frame.visibility_buffer(gbuffer)
-        frame.standard_error = frame.buffer("standard error", visibility.shape, wp.float32)
-        step, settings = begin_step(frame, gbuffer, p)
-        if is_settled(frame, step, p):
-            return visibility
-        settings.relative_epsilon += p.depth_epsilon
+        p, step = self.params, self.begin(frame)
+        if self.is_settled(frame, step):
+            return step.visibility
+
+        # 1. A new point searches for blockers (section 5.2.3), whose mean is refined from frame to frame (5.7, 5.8).
         still = not frame.geometry.casters_move  # else the search tags pixels that a mover will shadow
-        if p.filter and not (still and not frame.light.has_area and frame.leave_out(Skip.POINTLESS)):
+        blurs = p.filter and not (still and not frame.light.has_area and frame.leave_out(Skip.POINTLESS))
+        start = self._search(frame) if blurs else start_by(START_SAMPLE)
+        mean = filled(
+            BlockerMean,
+            first_blockers=float(p.blocker_taps) if blurs else 0.0,
+            counts_tests=int(p.blocker_mean == "frames"),
+        )
+
+        # 2. What is uncertain asks for a neighbourhood as wide as its penumbra (5.6, 5.9 to 5.12).
+        smoothing = filled(
+            Smoothing,
+            asks=int(blurs),
+            narrows=0,
+            half_widths=p.filter_radius * self._width_error(frame),
+            error_threshold=p.least_error,
+            least_samples=p.least_samples,
+        )
+        if blurs:
             count_unsmoothed(frame, step)
-            settings.start, settings.stores_smoothed = int(START_SEARCH), int(p.start == "blur")
-            settings.blocker_taps = pull_taps(frame, "poisson", p.blocker_taps)
-            settings.search_radius, settings.first_blockers = p.search_radius, float(p.blocker_taps)
-            settings.smooths, settings.half_widths = 1, p.filter_radius * self._width_error(frame)
-            settings.error_threshold, settings.least_samples = p.least_error, p.least_samples
-        else:
-            settings.start = int(START_SAMPLE)
-        settings.counts_tests = int(p.blocker_mean == "frames")
-        add_sample(frame, step, settings, p)
-        self._blend(frame, step, visibility)
-        end_step(frame, step, p, visibility)
-        return visibility
+
+        # 3. The test of the light's next point is added to what the point knows (5.1 to 5.5, 5.15 to 5.18).
+        self.add_samples(frame, step, start=start, mean=mean, smoothing=smoothing, relative=p.depth_epsilon)
+
+        # 4. Shown is a blend of psi and its neighbourhood's mean (5.13, 5.14).
+        self._blend(frame, step)
+
+        # 5. Movers may have a map of their own.
+        self.add_movers(frame, step)
+        return step.visibility
+
+    def _search(self, frame: Frame) -> Start:
+        p = self.params
+        return start_by(
+            START_SEARCH,
+            blocker_taps=pull_taps(frame, "poisson", p.blocker_taps),
+            search_radius=p.search_radius,
+            stores_smoothed=p.start == "blur",
+        )
 
     def _width_error(self, frame: Frame) -> float:
         """The factor by which a penumbra's width in pixels is wrong: 1, or as published."""
@@ -221,20 +211,18 @@ class TcSoftThesis(Technique):
         near = {"projected": 1.0 / height_at_1, "near_plane": view.near, "shader": 0.1}[self.params.pixel_size]
         return near * height_at_1
 
-    def _blend(self, frame: Frame, step: ShadowStep, visibility_out: wp.array) -> None:
-        p, shape = self.params, visibility_out.shape
-        settings = BlendSettings()
-        settings.depth_range, settings.rejects_lit = p.filter_depth_range, int(p.zero_blur == "rejected")
-        settings.least_error, settings.largest_error = p.least_error, p.largest_error
-        settings.least_samples, settings.start_weight = p.least_samples, p.start_weight
-        texels = step.history.current
+    def _blend(self, frame: Frame, step: ShadowStep) -> None:
+        p, texels = self.params, step.history.current
+        settings = filled(
+            BlendSettings,
+            depth_range=p.filter_depth_range,
+            least_error=p.least_error,
+            largest_error=p.largest_error,
+            least_samples=p.least_samples,
+            start_weight=p.start_weight,
+            rejects_lit=int(p.zero_blur == "rejected"),
+        )
         with frame.timed("neighbourhood blend"):
             taps = pull_opposite_taps(frame, p.taps) if p.kernel == "opposite" else pull_taps(frame, "poisson", p.taps)
-            images = [step.error, step.half_width]
-            if uses_lanes(frame.device) and p.buffer == "float32":
-                flat = [flat_pairs(step.psi_depth), *(flat_floats(image) for image in (*images, texels))]
-                runs = (shape[0], runs_per_row(shape[1]))
-                frame.launch(blend_neighbourhood_lanes, runs, [*flat, taps, settings], [texels, visibility_out])
-            else:
-                inputs = [step.psi_depth, *images, taps, settings]
-                frame.launch(BLEND[TEXEL_TYPES[p.buffer]], shape, inputs, [texels, visibility_out])
+            inputs = [step.psi_depth, step.error, step.half_width, taps, settings]
+            frame.launch(BLEND[texels.dtype], step.visibility.shape, inputs, [texels, step.visibility])

@@ -29,7 +29,7 @@ def run_bench(
 
     Args:
         cases: Beginnings of names of cases; all of them if empty.
-        as_json: Whether to print JSON, else a table.
+        as_json: Whether to print JSON (docs/formats.md), else a table.
         threads: CPU threads of both sides, at least 1; None for all.
         repeats: Timed runs of each side, at least 1.
         out: Where the plots of the scaling cases go; none are drawn if not given.

@@ -1,6 +1,6 @@
 """Metrics of how the light map that a technique read suits the picture (``wkernels.analysis.sampling_rate``).
 
-They cost 20 to 40 ms for a label's frame of 640 x 360, outside all timings, and are computed only on request.
+They cost more than many a frame, outside all timings, and are computed only on request.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Closed-form visibility of the analytic scenes A1 to A9, which the reference is held to.
+"""Closed-form visibility of the analytic scenes A1 to A9 (docs/glossary.md), which the reference is held to.
 
 Every function maps receiver points ``position_ws`` (float64, shape (..., 3), scene units) to visibility in [0, 1],
 shape (...,): 1 = the whole light is visible. The keyword defaults are the numbers of ``configs/scenes/a*.yaml``.

@@ -25,7 +25,7 @@ _DIFFUSE = (0.8, 0.8, 0.8)
 
 
 def load_scene(source: str | Path | Mapping[str, Any], *, base: Path | None = None) -> Scene:
-    """Reads a scene.
+    """Reads a scene (docs/formats.md).
 
     Args:
         source: A YAML file, or its keys as a dict.

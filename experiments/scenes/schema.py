@@ -1,4 +1,4 @@
-"""What a scene file may say, as pydantic models. Lengths in scene units, angles in degrees."""
+"""What a scene file may say (docs/formats.md), as pydantic models. Lengths in scene units, angles in degrees."""
 
 from __future__ import annotations
 
@@ -35,7 +35,13 @@ Direction = Annotated[Vector3, AfterValidator(_not_zero)]
 
 
 class Transform(StrictModel):
-    """Scale, then rotation about x, then y, then z (fixed axes), then translation."""
+    """Scale, then rotation about x, then y, then z (fixed axes), then translation.
+
+    Attributes:
+        translate: By how much, scene units.
+        rotate_deg: Degrees about x, y and z.
+        scale: Factors along x, y and z, or one for all.
+    """
 
     translate: Vector3 = (0.0, 0.0, 0.0)
     rotate_deg: Vector3 = (0.0, 0.0, 0.0)
@@ -43,19 +49,36 @@ class Transform(StrictModel):
 
 
 class MotionKeyframe(Transform):
-    """A transform at a frame."""
+    """A transform at a frame.
+
+    Attributes:
+        frame: Which; keyframes come in rising order.
+    """
 
     frame: Frame
 
 
 class Motion(StrictModel):
-    """Keyframes between which a mesh or light moves: linear, rotations the shorter way round; the ends are held."""
+    """How a mesh or light moves.
+
+    Attributes:
+        keyframes: Linear in between, rotations the shorter way round; the ends are held.
+    """
 
     keyframes: Annotated[list[MotionKeyframe], Field(min_length=1)]
 
 
 class MeshOptions(StrictModel):
-    """Keys that every mesh takes."""
+    """Keys that every mesh takes.
+
+    Attributes:
+        name: Unique name; for a generator, a prefix of the names of its parts.
+        transform: Where it stands.
+        motion: Makes it a moving object; its keyframes act after ``transform``.
+        diffuse: Reflectance, red, green, blue; 0.8 each, or what a generator chooses, unless given.
+        casts: Whether it casts shadows.
+        receives: Whether it receives them.
+    """
 
     name: Name | None = None
     transform: Transform = Transform()
@@ -127,7 +150,12 @@ PRIMITIVES: dict[str, type[MeshOptions]] = {
 
 
 class LightOptions(StrictModel):
-    """Keys that every light takes."""
+    """Keys that every light takes.
+
+    Attributes:
+        radiance: Red, green, blue: the colour of shading, and what the light weighs among several.
+        motion: Moves it as meshes move, about the world's origin.
+    """
 
     radiance: tuple[NonNegative, NonNegative, NonNegative] = (1.0, 1.0, 1.0)
     motion: Motion | None = None
@@ -203,7 +231,16 @@ LIGHTS: dict[str, type[LightOptions]] = {
 
 
 class CameraOptions(StrictModel):
-    """A pinhole camera; eye and target may be left to a path. ``fov_deg`` is vertical."""
+    """A pinhole camera.
+
+    Attributes:
+        eye: Where it stands; may be left to a path.
+        target: What it looks at; likewise.
+        up: Its vertical axis.
+        fov_deg: Vertical field of view.
+        near: Near plane.
+        far: Far plane.
+    """
 
     eye: Vector3 | None = None
     target: Vector3 | None = None
@@ -214,7 +251,13 @@ class CameraOptions(StrictModel):
 
 
 class CameraKeyframe(StrictModel):
-    """Eye and target at a frame."""
+    """Eye and target at a frame.
+
+    Attributes:
+        frame: Which; keyframes come in rising order.
+        eye: Where the camera stands then.
+        target: What it looks at then.
+    """
 
     frame: Frame
     eye: Vector3
@@ -222,7 +265,15 @@ class CameraKeyframe(StrictModel):
 
 
 class Orbit(StrictModel):
-    """A turn about the vertical through ``center``, ``height`` above it, from +Z (0 degrees) towards +X."""
+    """A turn about a vertical axis, from +Z (0 degrees) towards +X.
+
+    Attributes:
+        center: On the axis; it is looked at.
+        radius: Distance from the axis.
+        height: Of the eye above ``center``.
+        degrees: How far it turns in all frames.
+        start_deg: Where it begins.
+    """
 
     center: Vector3
     radius: Positive
@@ -232,7 +283,14 @@ class Orbit(StrictModel):
 
 
 class PathOptions(StrictModel):
-    """A camera path: ``frames`` and one of keyframes, orbit and file."""
+    """A camera path: ``frames`` and one of the other keys.
+
+    Attributes:
+        frames: How many there are; up to the last keyframe unless given. An orbit needs it.
+        keyframes: Places between which the eye follows a smooth curve (Catmull and Rom).
+        orbit: A turn about a point.
+        file: Keyframes in a CSV or JSON file.
+    """
 
     frames: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
     keyframes: Annotated[list[CameraKeyframe], Field(min_length=1)] | None = None
@@ -241,7 +299,14 @@ class PathOptions(StrictModel):
 
 
 class SceneFile(StrictModel):
-    """The top level. Meshes and lights are checked one by one, against the model that their kind asks for."""
+    """The top level. Meshes and lights are checked one by one, against the model that their kind asks for.
+
+    Attributes:
+        meshes: What there is; see below.
+        lights: What lights it, at least one; see below.
+        camera: Where the eye is.
+        path: How it moves; without one there is one frame.
+    """
 
     meshes: list[Any]
     lights: Annotated[list[Any], Field(min_length=1)]

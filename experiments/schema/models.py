@@ -1,4 +1,4 @@
-"""Models of the experiment file, as it is written."""
+"""Models of the experiment file, as it is written (docs/formats.md)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,12 @@ Pixels = Annotated[int, Field(ge=1, le=16384)]
 
 
 class Image(StrictModel):
-    """Size of the rendered frames in pixels, 1 to 16384."""
+    """Size of the rendered frames.
+
+    Attributes:
+        width: Pixels.
+        height: Pixels.
+    """
 
     width: Pixels
     height: Pixels
@@ -49,7 +54,13 @@ class Reference(StrictModel):
 
 
 class FrameRange(StrictModel):
-    """Frames ``start, start + step, ...`` below ``stop``."""
+    """Frames ``start, start + step, ...`` below ``stop``.
+
+    Attributes:
+        start: The first.
+        stop: The first that is not meant.
+        step: From one to the next.
+    """
 
     start: int = Field(0, ge=0)
     stop: int = Field(ge=1)
@@ -133,7 +144,16 @@ class Views(StrictModel):
 
 
 class RunFile(StrictModel):
-    """What walkthroughs and sweeps have in common; ``Experiment`` says what the keys mean."""
+    """What walkthroughs and sweeps have in common; ``Experiment`` says what the other keys mean.
+
+    Attributes:
+        reference: The ray-cast reference; without it no errors are known.
+        metrics: Names of metrics; those that are computed always need none. ``sampling`` stands for those of the map.
+        projection: Default of all techniques that read a light map; without it each has its own, ``fit: scene``.
+        baseline: The label that costs are relative to; the first one unless given.
+        frames: How many, or which; all of the scene's path unless given.
+        views: Pictures that show why a technique fails.
+    """
 
     image: Image
     reference: Reference | None = None

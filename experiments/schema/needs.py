@@ -10,6 +10,7 @@ import numpy as np
 from experiments.config.messages import Loc
 from experiments.config.source import Source
 from experiments.schema.techniques import TechniqueRun
+from wkernels.casters.closed import is_closed
 from wkernels.errors import InputError
 from wkernels.scene.lights import Light
 from wkernels.scene.model import Mesh, Scene
@@ -105,18 +106,6 @@ def check_runs(
 
 def _shows_all(technique: Any, params: Mapping[str, Any]) -> bool:
     return bool(hasattr(technique, "all_lights") and technique(technique.Params(**params)).all_lights)
-
-
-def is_closed(mesh: Mesh) -> bool:
-    """Whether the mesh is a closed, consistently oriented 2-manifold once coincident vertices are merged."""
-    _, merged = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    faces = merged.reshape(-1)[mesh.faces]
-    corners = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    faces = faces[corners]
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    forward, counts = np.unique(edges, axis=0, return_counts=True)
-    backward = np.unique(edges[:, ::-1], axis=0)
-    return len(edges) > 0 and bool(np.all(counts == 1)) and np.array_equal(forward, backward)
 
 
 def is_planar(mesh: Mesh) -> bool:

@@ -23,7 +23,7 @@ from wkernels.scene.model import Camera, Mesh, Scene
 
 
 def half_plane(lamp: Light, blocker_height: float = 5.0) -> Scene:
-    """A caster over x > 0 and a ground that it shadows, the light about 10 above: CATALOGUE A1, A2."""
+    """A caster over x > 0 and a ground that it shadows, the light about 10 above: the analytic scenes A1, A2."""
     ground = small.mesh("ground", small.plane(12.0))
     wide = np.array([(x, blocker_height, z) for x in (0.0, 40.0) for z in (-40.0, 40.0)])
     caster = Mesh("half plane", wide, np.array([[0, 1, 2], [2, 1, 3]], np.int32), receives=False)

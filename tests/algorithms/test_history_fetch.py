@@ -28,7 +28,6 @@ from wkernels.temporal.shadow_buffer.record import (
     storage_of,
     write_record,
 )
-from wkernels.temporal.shadow_buffer.step import begin_step
 
 # ---- fading and blending ------------------------------------------------------------------------------------------------
 
@@ -276,6 +275,7 @@ def test_the_cap_is_a_parameter(name: str, device: str) -> None:
         limits = []
         for cap in (True, False):
             session = Session(Geometry(scene, device), width=16, height=16, device=device)
-            params = find(name).Params(buffer=buffer, cap=cap)
-            limits.append(begin_step(session, session.gbuffer(params.overscan), params)[1].storage.limit)
+            technique = find(name)
+            made: Any = technique(technique.Params(buffer=buffer, cap=cap))
+            limits.append(made.counting(session, made.begin(session)).limit)
         assert limits[0] == storage_of(buffer).limit < 1e7 and limits[1] == np.float32(UNLIMITED)

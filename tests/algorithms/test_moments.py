@@ -9,7 +9,8 @@ import warp as wp
 from filtering_sessions import render
 
 from wkernels.device.launch import launch
-from wkernels.filters.moments import Chebyshev, depth_range, find_moments, lit_share, sample_bilinear
+from wkernels.filters.map_images import sample_bilinear
+from wkernels.filters.moments import Chebyshev, depth_range, find_moments, lit_share
 from wkernels.light_maps.light_map import LightMap
 
 

@@ -9,10 +9,10 @@ import pytest
 import warp as wp
 from compare import assert_twin
 
-from wkernels.device.lanes import flat_floats, flat_pairs, runs_per_row, uses_lanes
+from wkernels.device.lanes import uses_lanes
 from wkernels.device.launch import launch
 from wkernels.scene.geometry import RECEIVES
-from wkernels.temporal.neighbourhood_blend import BLEND, BlendSettings, blend_neighbourhood_lanes
+from wkernels.temporal.neighbourhood_blend import BLEND, BLEND_PLAIN, BlendSettings
 from wkernels.temporal.shadow_buffer.record import TEXEL_TYPES
 
 SHAPE = (23, 37)  # no whole number of runs
@@ -73,13 +73,8 @@ def blend(held: dict[str, np.ndarray], rejects: bool, format: str, lanes: bool, 
     arrays = [wp.array(held[name], dtype=float, device=device) for name in ("error", "width")]
     taps = wp.array(held["taps"], dtype=wp.vec2, device=device)
     out = wp.empty(SHAPE, dtype=float, device=device)
-    if lanes:
-        flat = [flat_pairs(packed), *(flat_floats(a) for a in (*arrays, texels))]
-        runs = (SHAPE[0], runs_per_row(SHAPE[1]))
-        launch(blend_neighbourhood_lanes, runs, [*flat, taps, settings], [texels, out], device=device, threads=2)
-    else:
-        inputs = [packed, *arrays, taps, settings]
-        launch(BLEND[TEXEL_TYPES[format]], SHAPE, inputs, [texels, out], device=device, threads=2)
+    kernel = (BLEND if lanes else BLEND_PLAIN)[TEXEL_TYPES[format]]
+    launch(kernel, SHAPE, [packed, *arrays, taps, settings], [texels, out], device=device, threads=2)
     return out.numpy(), texels.numpy().astype(float)
 
 

@@ -10,7 +10,7 @@ import small_scenes as small
 from filtering_sessions import session, technique
 
 from algorithms.projections.composition import compose
-from wkernels.filters.layer_density import layer_densities
+from wkernels.light_maps.layer_density import layer_densities
 from wkernels.scene.lights import DirectionalLight, Light, PointLight
 from wkernels.scene.model import Camera, Scene
 

@@ -23,6 +23,7 @@ from wkernels.projections.clipping import clip_polygon
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.lights import DirectionalLight, Light, PointLight
 from wkernels.scene.model import Camera, Mesh, Scene
+from wkernels.scene.views import eye_view
 
 
 def flatten_twin(points: np.ndarray, plane: np.ndarray, light: np.ndarray) -> np.ndarray:
@@ -284,3 +285,18 @@ def test_only_triangles_that_stick_out_are_cut() -> None:
         assert turned is not None
         cut = flattener.draw(running.geometry, turned, light, 6.0, gbuffer.view, shadow)
         assert cut == expected
+
+
+def test_a_flattener_draws_one_triangle_anew_each_time() -> None:
+    """Its list of triangles is written into the same memory: below the light, then above it, where nothing is thrown."""
+    triangle = np.array([(-1.0, 2.0, -1.0), (1.0, 2.0, -1.0), (0.0, 2.0, 1.0)]), np.array([(0, 1, 2)], np.int32)
+    geometry = Geometry(small.scene([small.mesh("leaf", triangle)], small.light("point")), OPTIONS["device"])
+    view = eye_view(small.camera((0.0, 6.0, 8.0)), 40, 30, geometry.origin_ws).to_device()
+    plane, depth = np.array([0.0, 1.0, 0.0, geometry.origin_ws[1]]), wp.empty((30, 40), device=OPTIONS["device"])
+    flattener = Flattener(OPTIONS["device"], 2)
+    shadows = []
+    for height in (9.0, 1.0, 9.0):
+        light = np.array([0.0, height - geometry.origin_ws[1], 0.0, 1.0])
+        flattener.draw(geometry, plane, light, 10.0, view, depth)
+        shadows.append(int(np.isfinite(depth.numpy()).sum()))
+    assert shadows[0] == shadows[2] > 0 and shadows[1] == 0

@@ -1,4 +1,4 @@
-"""The ray-cast reference against closed forms (CATALOGUE.md section 0, A1 to A9)."""
+"""The ray-cast reference against closed forms: the scenes A1 to A9 of docs/glossary.md."""
 
 from pathlib import Path
 

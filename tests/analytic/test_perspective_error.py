@@ -1,8 +1,9 @@
-"""Closed forms of Stingl 2011 (chapters 2 to 4) and of the catalogue's derivations, to 1e-6 relative."""
+"""Closed forms of Stingl 2011 (chapters 2 to 4) and what follows from them, to 1e-6 relative."""
 
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,10 +13,7 @@ from algorithms.projections.table import warps
 from algorithms.projections.warps.lispsm_nrepar import strength
 from wkernels.analysis.perspective_error import (
     TiltedFrustum,
-    depth_by_coordinate,
     err_accurate,
-    err_simple,
-    err_xz,
     partitioned_errors,
     storage_factor,
     texels_per_pixel,
@@ -33,18 +31,23 @@ def n_warp(name: str, near: float, far: float, gamma_deg: float = 90.0, **more: 
     return warps()[name]().distance(shape)
 
 
+def overhead(z: Any, near: float, far: float, distance: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
+    """m_x and m_z along the view vector under overhead light."""
+    return TiltedFrustum(near, far, THETA).errors(z, distance)
+
+
 def test_the_published_example() -> None:
-    """n = 1, f = 40, th = 30 (CATALOGUE lispsm_nopt), recomputed from the formulas to all digits."""
+    """n = 1, f = 40, th = 30 (Stingl 2011, sections 2.3.2 and 3.2.1), recomputed from the formulas to all digits."""
     distance = n_warp("lispsm_nopt", 1.0, 40.0)
     assert distance == pytest.approx(1.0 + np.sqrt(40.0), rel=EXACT) == pytest.approx(7.3246, abs=5e-5)
-    m_x, m_z = err_xz(np.array([1.0, np.sqrt(40.0), 40.0]), 1.0, 40.0, THETA, distance)
+    m_x, m_z = overhead(np.array([1.0, np.sqrt(40.0), 40.0]), 1.0, 40.0, distance)
     assert m_z[0] == pytest.approx(39.0 / (2.0 * TAN * np.sqrt(40.0)), rel=EXACT) == pytest.approx(5.3403, abs=5e-5)
     assert m_z[2] == pytest.approx(m_z[0], rel=EXACT)
     least = 2.0 * 39.0 / (TAN * (1.0 + np.sqrt(40.0)) ** 2)
     assert m_z[1] == pytest.approx(least, rel=EXACT) == pytest.approx(2.5182, abs=5e-5)
     assert m_x[0] == pytest.approx(np.sqrt(40.0), rel=EXACT) == pytest.approx(6.3246, abs=5e-5)
     assert m_x[2] == pytest.approx(1.0, rel=EXACT)
-    u_x, u_z = err_xz(1.0, 1.0, 40.0, THETA)
+    u_x, u_z = overhead(1.0, 1.0, 40.0)
     assert u_z == pytest.approx(39.0 / (2.0 * TAN), rel=EXACT) == pytest.approx(33.775, abs=5e-4)
     assert u_x == pytest.approx(40.0, rel=EXACT)
 
@@ -52,40 +55,26 @@ def test_the_published_example() -> None:
 @pytest.mark.parametrize("distance", [1.0, 3.0, 7.3246, 1e3, 1e9])
 def test_warped_errors_are_equations_2_3_and_2_4(distance: float) -> None:
     near, far, z = 1.0, 40.0, np.geomspace(1.0, 40.0, 33)
-    m_x, m_z = err_xz(z, near, far, THETA, distance, (2.0, 3.0))
+    m_x, m_z = overhead(z, near, far, distance)
     ahead = distance + z - near
-    np.testing.assert_allclose(m_x, 2.0 * far * ahead / (z * (distance + far - near)), rtol=EXACT)
-    expected = 3.0 * (far - near) / (2.0 * TAN) * ahead**2 / (z * distance * (distance + far - near))
+    np.testing.assert_allclose(m_x, far * ahead / (z * (distance + far - near)), rtol=EXACT)
+    expected = (far - near) / (2.0 * TAN) * ahead**2 / (z * distance * (distance + far - near))
     np.testing.assert_allclose(m_z, expected, rtol=EXACT)
 
 
 def test_limits_are_equations_2_5_to_2_8() -> None:
     near, far, z = 0.5, 90.0, np.geomspace(0.5, 90.0, 33)
     assert n_warp("psm", near, far) == pytest.approx(near, rel=EXACT)
-    m_x, m_z = err_xz(z, near, far, THETA, near)
+    m_x, m_z = overhead(z, near, far, near)
     np.testing.assert_allclose(m_x, 1.0, rtol=EXACT)
     np.testing.assert_allclose(m_z, (far - near) / (2.0 * TAN) * z / (near * far), rtol=EXACT)
     for distance in (np.inf, 1e15):
-        m_x, m_z = err_xz(z, near, far, THETA, distance)
+        m_x, m_z = overhead(z, near, far, distance)
         np.testing.assert_allclose(m_x, far / z, rtol=EXACT)
         np.testing.assert_allclose(m_z, (far - near) / (2.0 * TAN * z), rtol=EXACT)
 
 
-def test_simple_error_of_uniform_logarithmic_and_optimal_maps() -> None:
-    near, far, z = 1.0, 300.0, np.geomspace(1.0, 300.0, 17)
-    assert err_simple(z, depth_by_coordinate(z, near, far)).max() == pytest.approx((far - near) / near, rel=EXACT)
-    logarithmic = err_simple(z, z * np.log(far / near))
-    np.testing.assert_allclose(logarithmic, np.log(far / near), rtol=EXACT)
-    optimal = err_simple(z, depth_by_coordinate(z, near, far, n_warp("lispsm_nopt", near, far)))
-    assert optimal.max() == pytest.approx((far - near) / np.sqrt(near * far), rel=EXACT)
-    assert err_simple(2.0, 3.0, 0.5, 0.25) == pytest.approx(3.0, rel=EXACT)
-    step = 1e-6  # the derivative is that of the perspective coordinate itself
-    coordinate = [(7.0 + 299.0) / 299.0 * (z + d - near) / (7.0 + z + d - near) for d in (-step, step)]
-    slope = (coordinate[1] - coordinate[0]) / (2.0 * step)
-    np.testing.assert_allclose(depth_by_coordinate(z, near, far, 7.0), 1.0 / slope, rtol=1e-4)
-
-
-# printed to three digits in CATALOGUE.md; th = 30, n = 1, f = 100, greatest m_x over the frustum (uniform 100)
+# found once from the formulas, to three digits; th = 30, n = 1, f = 100, greatest m_x over the frustum (uniform 100)
 M_X = {5: 200, 10: 226, 20: 200, 25: 160, 30: 106, 40: 45, 90: 10}
 M_X_REPAR = {5: 100, 10: 100, 20: 111, 25: 112, 30: 103}
 
@@ -148,14 +137,14 @@ def test_no_error_exceeds_the_uniform_maps_by_more_than_the_warps_own_ratio(gamm
 
 
 def test_pseudo_planes() -> None:
-    """CATALOGUE pseudo_near_far: n = 1, f = 300, shares 0.1: 3.465 at both planes, from 14.95 without, but 61.1 at n."""
+    """Stingl 2011, section 4.2: n = 1, f = 300, shares 0.1: 3.465 at both planes, from 14.95 without, but 61.1 at n."""
     near, far = 1.0, 300.0
     planes = pseudo_planes(near, far, 0.1, 0.1)
     distance = n_warp("lispsm_nopt", near, far, pseudo_near=0.1, pseudo_far=0.1)
-    _, m_z = err_xz(np.array([near, *planes]), near, far, THETA, distance)
+    _, m_z = overhead(np.array([near, *planes]), near, far, distance)
     assert m_z[1] == pytest.approx(m_z[2], rel=EXACT) == pytest.approx(3.465, abs=5e-4)
     assert m_z[0] == pytest.approx(61.1, abs=0.05)
-    _, plain = err_xz(near, near, far, THETA, n_warp("lispsm_nopt", near, far))
+    _, plain = overhead(near, near, far, n_warp("lispsm_nopt", near, far))
     assert plain == pytest.approx(14.95, abs=5e-3)
     borders = split_borders(near, far, 4, "pseudo", 0.5, 0.1, 0.1)
     low, high = planes
@@ -183,7 +172,7 @@ def test_split_positions() -> None:
 
 
 def test_partitioned_errors_halve_with_every_doubling_of_the_splits() -> None:
-    """CATALOGUE split_schemes, f/n = 40 and lambda = 0.5: the greatest m_x for 1, 2, 4, 8 and 16 splits, at the eye."""
+    """Stingl 2011, section 3.3.4, f/n = 40 and lambda = 0.5: the greatest m_x for 1, 2, 4, 8 and 16 splits, at the eye."""
     for count, greatest in zip((1, 2, 4, 8, 16), (40.0, 13.4, 6.63, 3.73, 2.35), strict=True):
         borders = split_borders(1.0, 40.0, count)
         z, m_x, _ = partitioned_errors(borders, THETA, [np.inf] * count)
@@ -202,7 +191,7 @@ def test_partitioned_errors_halve_with_every_doubling_of_the_splits() -> None:
 
 
 def test_storage_factors() -> None:
-    """CATALOGUE storage_factor, f/n = 1000, th = 30, and the closed forms that its tables come from."""
+    """Lloyd et al. 2006, f/n = 1000, th = 30: numbers found once, and the closed forms that they come from."""
     near, far = 1.0, 1000.0
     tables = {
         ("log", "none"): (8.65e5, 1677, 90.1, 22.5, 11.5),

@@ -35,7 +35,7 @@ class Honest(Technique):
         samples = frame.light_samples(self.params.samples)
         proof = frame.buffer("proof", visibility.shape, wp.int32)
         error = frame.standard_error = frame.buffer("error", visibility.shape, wp.float32)
-        inputs = [gbuffer, frame.casters(), samples.points_ws, samples.weights, frame.light_hull(), 0]
+        inputs = [gbuffer, frame.caster_mesh(), samples.points_ws, samples.weights, frame.light_hull(), 0]
         frame.launch(trace_light, visibility.shape, inputs, [visibility, proof])
         frame.launch(binomial_standard_error, visibility.shape, [visibility, float(self.params.samples)], [error])
         return visibility

@@ -106,7 +106,7 @@ def test_a_mistake_is_one_message_with_file_line_and_key(run, old: str, new: str
         assert status == 2 and expected in err and len(err.strip().splitlines()) == 1, err
 
 
-# Published in the figures or stated by the catalogue; the comments of the files give them.
+# Published in the figures, or found from their formulas; the comments of the files give them.
 PUBLISHED = {
     "s2_fig_2_8": {"uniform": (40.0, 33.7749907), "LiSPSM": (6.32455532, 5.34029493), "PSM": (1.0, 33.7749907)},
     "s2_fig_3_9": {"uniform": (40.0, 33.7749907), "LiSPSM": (6.32455532, 5.34029493)},

@@ -1,4 +1,4 @@
-"""The Python calls."""
+"""The Python calls: ``render_visibility`` and ``reference_visibility``."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""What each bias of a light map does: acne that goes away, and gaps that open (catalogue scenes A8 and A9)."""
+"""What each bias of a light map does: acne that goes away, and gaps that open (the analytic scenes A8 and A9)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TILTS = [(0.0, 0.0), (15.0, 40.0), (40.0, 0.0), (60.0, 77.0), (75.0, 200.0), (84
 
 
 def tilted_plane(tilt_deg: float, turn_deg: float) -> tuple[Mesh, np.ndarray, np.ndarray]:
-    """Catalogue scene A9: a square turned away from straight up, points on it, and its normal."""
+    """The analytic scene A9: a square turned away from straight up, points on it, and its normal."""
     tilt, turn = np.radians([tilt_deg, turn_deg])
     normal = np.array([np.sin(tilt) * np.cos(turn), np.cos(tilt), np.sin(tilt) * np.sin(turn)])
     e_u = np.cross(normal, [0.3, 0.1, 1.0])

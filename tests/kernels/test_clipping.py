@@ -182,7 +182,7 @@ def test_extrusion_towards_a_light() -> None:
 
 
 def test_focus_body_holds_every_occluder_of_what_is_seen() -> None:
-    """B = hull(V and S and light) and S, CATALOGUE focused_sm: from a seen point to the light all is inside."""
+    """B = hull(V and S and light) and S, Stingl 2011, section 3.1: from a seen point to the light all is inside."""
     rng = np.random.default_rng(5)
     view = random_view(rng, True)
     lo, hi = np.full(3, -2.0), np.full(3, 2.5)

@@ -204,8 +204,8 @@ def test_effective_n_is_the_weights_squared_over_the_sum_of_squares(textured: bo
 
 @pytest.mark.parametrize("window", [2.0, 5.0, 20.0])
 def test_a_steady_motion_is_the_exponential_mean_of_the_age_factor(window: float, device: str) -> None:
-    """rho and n times a before every test, as the catalogue has it: the weights of old tests fall by a, and n_eff = W^2 /
-    Q = (1 + a) / (1 - a)."""
+    """rho and n times a before every test (Scherzer et al. 2009, section 5): the weights of old tests fall by a, and
+    n_eff = W^2 / Q = (1 + a) / (1 - a)."""
     a, count = 1.0 - 1.0 / window, int(20 * window)
     rng = np.random.default_rng(4)
     tau = rng.integers(0, 2, (50, count)).astype(float)

@@ -13,12 +13,12 @@ from algorithms.plugins import find
 from wkernels.device.lanes import LANES, Floats, runs_of, runs_per_row, uses_lanes
 from wkernels.device.launch import launch
 from wkernels.frame.session import Session
+from wkernels.light_maps.point_lanes import points_of_run
 from wkernels.light_maps.receiver_lanes import LaneViews, lane_views
 from wkernels.raster.gbuffer import PADDING, GBuffer
 from wkernels.scene.geometry import CASTS, RECEIVES, Geometry
 from wkernels.scene.lights import Light, SphereLight
 from wkernels.scene.model import Camera
-from wkernels.temporal.history_lanes import points_of_run
 from wkernels.temporal.shadow_buffer.own_umbra import is_own_umbra, own_umbra_run, pull_light_corners
 
 LIGHTS: dict[str, Light] = {
@@ -54,7 +54,7 @@ def mark_lanes(
 @pytest.mark.parametrize("kind", sorted(LIGHTS))
 def test_own_umbra_is_where_every_corner_is_behind(kind: str, device: str) -> None:
     session = Session(Geometry(small.cluttered(LIGHTS[kind]), device), width=90, height=61, device=device)
-    gbuffer, corners = session.gbuffer(), pull_light_corners(session)
+    gbuffer, corners = session.gbuffer(), pull_light_corners(session, session.light)
     position, normal = (a.numpy().astype(float) for a in (gbuffer.position_ws, gbuffer.normal_ws))
     flags = gbuffer.flags.numpy()
     casts_and_receives = (flags & int(CASTS) != 0) & (flags & int(RECEIVES) != 0)
@@ -102,7 +102,7 @@ def test_history_does_not_cross_the_edge_of_a_surface_that_is_turned_away(name: 
             session.begin(index)
             result = session.render(technique)
             session.advance()
-        gbuffer, corners = session.gbuffer(), pull_light_corners(session)
+        gbuffer, corners = session.gbuffer(), pull_light_corners(session, session.light)
         out = wp.zeros(gbuffer.flags.shape, dtype=int, device=device)
         launch(mark, out.shape, [gbuffer, corners], [out], device=device)
         dark = out.numpy() == 1

@@ -37,7 +37,7 @@ def reference(session: Session, samples: int, sample_set: str = "halton") -> Fra
 def test_hard_visibility_equals_brute_force(kind: str, device: str) -> None:
     scene = small_scenes.cluttered(small_scenes.light(kind, (3.0, 8.0, -2.0)))
     session = session_of(scene, device)
-    gbuffer, casters = session.gbuffer(), session.casters()
+    gbuffer, casters = session.gbuffer(), session.caster_mesh()
     visibility = wp.zeros((HEIGHT, WIDTH), dtype=float, device=device)
     light = session.light.centre
     session.launch(trace_point, visibility.shape, [gbuffer, casters, wp.vec4(*light), session.reach], [visibility])
@@ -176,7 +176,7 @@ def test_visibility_is_the_weighted_mean_of_hard_ones(device: str) -> None:
     hard = wp.zeros((30, 40), dtype=float, device=device)
     for light, weight in zip(samples.host, samples.weights_host, strict=True):
         session.launch(
-            trace_point, hard.shape, [session.gbuffer(), session.casters(), wp.vec4(*light), session.reach], [hard]
+            trace_point, hard.shape, [session.gbuffer(), session.caster_mesh(), wp.vec4(*light), session.reach], [hard]
         )
         expected += weight * hard.numpy()
     expected /= samples.weights_host.sum()

@@ -53,15 +53,15 @@ def reproject_pixels(
     row, x = wp.tid()
     y = first + row
     screen = reprojection.reproject(previous, position_ws[y, x])
-    texel = reprojection.nearest_texel(previous, screen[0], screen[1])
     screen_out[y, x] = screen
-    texel_out[y, x] = texel
+    texel_out[y, x] = wp.vec2i(-1, -1)
     relative_out[y, x] = 0
     absolute_out[y, x] = 0
-    if texel[0] >= 0:
-        stored = stored_depth[texel[1], texel[0]]
-        relative_out[y, x] = wp.where(reprojection.accept_relative(screen[2], stored, epsilon), 1, 0)
-        absolute_out[y, x] = wp.where(reprojection.accept_absolute(screen[2], stored, epsilon), 1, 0)
+    if reprojection.is_inside(previous, screen[0], screen[1]):
+        texel_out[y, x] = wp.vec2i(int(screen[0]), int(screen[1]))
+        stored = stored_depth[int(screen[1]), int(screen[0])]
+        relative_out[y, x] = wp.where(reprojection.is_same_depth(screen[2], stored, epsilon * stored), 1, 0)
+        absolute_out[y, x] = wp.where(reprojection.is_same_depth(screen[2], stored, epsilon), 1, 0)
 
 
 def run(
@@ -184,8 +184,8 @@ def accept_pairs(
     absolute_out: wp.array[int],
 ):  # fmt: skip
     i = first + wp.tid()
-    relative_out[i] = wp.where(reprojection.accept_relative(depth[i], stored[i], epsilon), 1, 0)
-    absolute_out[i] = wp.where(reprojection.accept_absolute(depth[i], stored[i], epsilon), 1, 0)
+    relative_out[i] = wp.where(reprojection.is_same_depth(depth[i], stored[i], epsilon * stored[i]), 1, 0)
+    absolute_out[i] = wp.where(reprojection.is_same_depth(depth[i], stored[i], epsilon), 1, 0)
 
 
 def test_depth_tests() -> None:

@@ -23,7 +23,7 @@ def both(scene: Scene, samples: int, threads: int = 2, prove: int = 1) -> tuple[
     gbuffer, lit = session.gbuffer(), session.light_samples(samples)
     out = []
     shafts = [gbuffer, session.caster_tree(), lit.batches, session.light_hull(), prove]
-    rays = [gbuffer, session.casters(), lit.points_ws, lit.weights, session.light_hull(), 0]
+    rays = [gbuffer, session.caster_mesh(), lit.points_ws, lit.weights, session.light_hull(), 0]
     for kernel, inputs in ((trace_shafts, shafts), (trace_light, rays)):
         visibility = wp.zeros((HEIGHT, WIDTH), dtype=float, device="cpu")
         proof = wp.zeros((HEIGHT, WIDTH), dtype=int, device="cpu")

@@ -15,7 +15,7 @@ NAMES = {file.stem for file in FILES}
 USD = {"bunny", "rocks"}
 
 
-def test_the_scenes_of_the_catalogue_are_there():
+def test_the_named_scenes_are_there():
     walkthroughs = {"paris", "winter", "overlap", "bunny", "rocks", "test_plane", "moving_blocker", "big_penumbra"}
     assert walkthroughs | {"light_close_to_blocker", "elongated_along_axis"} <= NAMES
     assert set(analytic.CLOSED_FORMS) <= NAMES

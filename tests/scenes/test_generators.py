@@ -25,7 +25,7 @@ def count(meshes) -> int:
     return sum(len(mesh.faces) for mesh in meshes)
 
 
-def test_the_scan_finds_the_scenes_of_the_catalogue():
+def test_the_scan_finds_every_generator():
     assert {"paris", "winter", "overlap", "test_plane", "light_close_to_blocker", "elongated_along_axis"} <= set(NAMES)
     assert not any(name.startswith("_") for name in NAMES)
 

@@ -14,25 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 
-def err_simple(
-    z: np.ndarray | float, dz_ds: np.ndarray | float, cos_alpha: float = 1.0, cos_beta: float = 1.0
-) -> np.ndarray:
-    """dp/ds = (1/z) (dz/ds) cos(alpha) / cos(beta), equation 2.1: perspective times projection aliasing.
-
-    Args:
-        z: Eye depth, scene units.
-        dz_ds: Derivative of depth by the map coordinate s in [0, 1].
-        cos_alpha, cos_beta: Of the angles between the surface's normal and the way to the eye and the light.
-    """
-    return np.asarray(dz_ds) / np.asarray(z) * (cos_alpha / cos_beta)
-
-
-def depth_by_coordinate(z: np.ndarray | float, near: float, far: float, distance: float = np.inf) -> np.ndarray:
-    """dz/ds of a map that spans [near, far] under a warp of strength ``distance``."""
-    length, along = far - near, np.asarray(z) - near
-    return length * (1.0 + along / distance) ** 2 / (1.0 + length / distance)
-
-
 def err_accurate(
     resolution_ratio: float,
     dg_dt: float,
@@ -150,27 +131,6 @@ class TiltedFrustum:
         corners = [(z, self._v(z, side) - self.first) for z in (self.near, self.far) for side in (-1.0, 1.0)]
         spread = self._spread(distance)
         return float(max(spread * (1.0 + v / distance) / (z * np.tan(self.half_fov)) for z, v in corners))
-
-
-def err_xz(
-    z: np.ndarray | float,
-    near: float,
-    far: float,
-    half_fov: float,
-    distance: float = np.inf,
-    resolution_ratio: tuple[float, float] = (1.0, 1.0),
-) -> tuple[np.ndarray, np.ndarray]:
-    """m_x and m_z for overhead light, equations 2.3 to 2.8; exact for ``distance >= near``.
-
-    Args:
-        z: Eye depth, scene units.
-        near, far: Depth range that the map covers.
-        half_fov: Half the vertical field of view, radians.
-        distance: n' of the warp; infinite for a uniform map.
-        resolution_ratio: Image over map resolution, (x, y).
-    """
-    m_x, m_z = TiltedFrustum(near, far, half_fov).errors(z, distance)
-    return resolution_ratio[0] * m_x, resolution_ratio[1] * m_z
 
 
 def partitioned_errors(

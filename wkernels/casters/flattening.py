@@ -297,7 +297,7 @@ class Flattener:
         scratch.launch(sort_triangles, count, inputs, [cut, kept])
         which = np.flatnonzero(cut.numpy()[:count]).astype(np.int32)
         flat = scratch.array("flat", (vertices + 5 * len(which),), wp.vec3)
-        drawn = kept
+        drawn = kept[:]  # a new array, as the rasteriser knows the triangles of one that it has seen
         scratch.launch(flatten_vertices, vertices, [points, on_device, light], [flat])
         if len(which):
             drawn = scratch.array("drawn", (3 * count + 3 * int(PIECES) * len(which),), int)

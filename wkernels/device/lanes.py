@@ -58,13 +58,32 @@ def runs_of(values: wp.array, dtype: type, padding: int = 0) -> wp.array:
     Args:
         values: Contiguous, on the CPU, components of 4 bytes.
         dtype: ``Floats``, ``Ints``, ``Pairs`` for an array of vec2, or ``Vectors`` for one of vec3, whose entries begin
-            at every second or third component.
+            at every second or third component; or another vector of components.
         padding: Components of memory behind the last one that may be read. A run that begins less than 16 elements
             before the end needs them.
     """
-    run = {Pairs: 2 * LANES, Vectors: 3 * LANES}.get(dtype, LANES)
-    entries = max(0, values.capacity // 4 + padding - int(run) + 1)
+    entries = max(0, values.capacity // 4 + padding - dtype._length_ + 1)  # type: ignore[attr-defined]
     return wp.array(ptr=values.ptr, dtype=dtype, shape=entries, strides=(4,), device="cpu")
+
+
+def row_runs(image: wp.array, dtype: type) -> wp.array:
+    """Overlapping runs of each row of an image: entry (y, i) is the run from the i-th component of row y on.
+
+    Args:
+        image: (H, W) on the CPU, whose rows are dense, components of 4 bytes; a part of a larger one too.
+        dtype: As for ``runs_of``, no longer than a row.
+
+    Returns:
+        (H, entries); a view, which must not outlive the image. The last entry of a row ends where the row does.
+    """
+    entries = image.shape[1] * (image.strides[1] // 4) - dtype._length_ + 1  # type: ignore[attr-defined]
+    shape, strides = (image.shape[0], entries), (image.strides[0], 4)
+    return wp.array(ptr=image.ptr, dtype=dtype, shape=shape, strides=strides, device="cpu")
+
+
+def in_floats(*values: wp.array) -> list[wp.array]:
+    """Arrays as runs of 16 floats each, whatever their type: what lanes make of outputs."""
+    return [runs_of(array, Floats) for array in values]
 
 
 @wp.func

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, flat_floats, runs_of, runs_per_row, uses_lanes
+from wkernels.device.lanes import LANES, Floats, row_runs, runs_per_row
 from wkernels.device.launch import launch
+from wkernels.device.twin import Twin
+from wkernels.filters.texels import DOUBLE, check_image, components, texel_type
 
 
 def box_weights(radius: int) -> np.ndarray:
@@ -40,7 +44,7 @@ def blur_rows(first: int, image: wp.array2d[Any], weights: wp.array[float], blur
     y = first + row
     radius = weights.shape[0] / 2
     last = image.shape[1] - 1
-    total = image.dtype()
+    total = image.dtype(0.0)
     for i in range(weights.shape[0]):
         total += weights[i] * image[y, wp.clamp(x + i - radius, 0, last)]
     blurred_out[y, x] = total
@@ -53,7 +57,7 @@ def blur_columns(first: int, image: wp.array2d[Any], weights: wp.array[float], b
     y = first + row
     radius = weights.shape[0] / 2
     last = image.shape[0] - 1
-    total = image.dtype()
+    total = image.dtype(0.0)
     for i in range(weights.shape[0]):
         total += weights[i] * image[wp.clamp(y + i - radius, 0, last), x]
     blurred_out[y, x] = total
@@ -62,18 +66,16 @@ def blur_columns(first: int, image: wp.array2d[Any], weights: wp.array[float], b
 @wp.kernel
 def blur_rows_lanes(
     first: int,
-    image: wp.array(dtype=float),  # flat
-    image_runs: wp.array(dtype=Floats),  # a run from every float on
-    pitch: int,  # floats from one row of the image to the next; those of the blurred one lie side by side
-    row_floats: int,
+    image: wp.array2d(dtype=float),
+    image_runs: wp.array2d(dtype=Floats),  # its rows, a run from every float on
     components: int,
     weights: wp.array(dtype=float),
-    blurred_out: wp.array(dtype=Floats),
+    blurred_out: wp.array2d(dtype=Floats),
 ):
     """``blur_rows`` of a run of floats; the last run of a row begins within the one before."""
     row, run = wp.tid()
     y = first + row
-    begin = y * pitch
+    row_floats = image.shape[1]
     start = wp.min(run * LANES, row_floats - LANES)
     radius = weights.shape[0] / 2
     reach = radius * components
@@ -81,7 +83,7 @@ def blur_rows_lanes(
     if start >= reach and start + LANES + reach <= row_floats:
         for i in range(weights.shape[0]):
             weight = weights[i]
-            values = image_runs[begin + start + (i - radius) * components]
+            values = image_runs[y, start + (i - radius) * components]
             for k in range(LANES):
                 total[k] = total[k] + weight * values[k]
     else:
@@ -92,39 +94,79 @@ def blur_rows_lanes(
                 texel = (start + k) / components
                 component = start + k - texel * components
                 nearest = wp.clamp(texel + i - radius, 0, last)
-                total[k] = total[k] + weight * image[begin + nearest * components + component]
-    blurred_out[y * row_floats + start] = total
+                total[k] = total[k] + weight * image[y, nearest * components + component]
+    blurred_out[y, start] = total
 
 
 @wp.kernel
 def blur_columns_lanes(
     first: int,
-    image_runs: wp.array(dtype=Floats),
-    pitch_out: int,  # of the blurred image
-    row_floats: int,
-    rows: int,
+    image_runs: wp.array2d(dtype=Floats),
     weights: wp.array(dtype=float),
-    blurred_out: wp.array(dtype=Floats),
+    blurred_out: wp.array2d(dtype=Floats),
 ):
     """``blur_columns`` of a run of floats."""
     row, run = wp.tid()
     y = first + row
-    start = wp.min(run * LANES, row_floats - LANES)
+    start = wp.min(run * LANES, image_runs.shape[1] - 1)
     radius = weights.shape[0] / 2
+    last = image_runs.shape[0] - 1
     total = Floats(0.0)
     for i in range(weights.shape[0]):
         weight = weights[i]
-        values = image_runs[wp.clamp(y + i - radius, 0, rows - 1) * row_floats + start]
+        values = image_runs[wp.clamp(y + i - radius, 0, last), start]
         for k in range(LANES):
             total[k] = total[k] + weight * values[k]
-    blurred_out[y * pitch_out + start] = total
+    blurred_out[y, start] = total
 
 
-_TYPES = (wp.vec2, wp.vec4)
-_BLUR_ROWS, _BLUR_COLUMNS = (
-    {t: wp.overload(kernel, [int, wp.array2d(dtype=t), wp.array(dtype=float), wp.array2d(dtype=t)]) for t in _TYPES}
-    for kernel in (blur_rows, blur_columns)
-)
+def _floats_of(image: wp.array) -> wp.array:
+    """The components of an image as (H, W n)."""
+    shape, strides = (image.shape[0], image.shape[1] * (image.strides[1] // 4)), (image.strides[0], 4)
+    return wp.array(ptr=image.ptr, dtype=float, shape=shape, strides=strides, device="cpu")
+
+
+def _rows_in_lanes(image: wp.array, weights: wp.array) -> list:
+    return [_floats_of(image), row_runs(image, Floats), components(texel_type(image)), weights]
+
+
+def _columns_in_lanes(image: wp.array, weights: wp.array) -> list:
+    return [row_runs(image, Floats), weights]
+
+
+def _out_in_lanes(image: wp.array) -> list:
+    return [row_runs(image, Floats)]
+
+
+def _fits_lanes(image: wp.array, weights: wp.array, out: wp.array) -> bool:
+    """Whether a row holds a run, and texels lie side by side."""
+    texel = 4 * components(texel_type(image))
+    return image.strides[1] == out.strides[1] == texel and image.shape[1] * texel >= 4 * LANES
+
+
+def _runs_of_texels(count: int, grid: tuple[int, ...]) -> tuple[int, int]:
+    """The lanes' grid for texels of so many floats."""
+    return grid[0], runs_per_row(grid[1] * count)
+
+
+def _twins(plain: wp.Kernel, lanes: wp.Kernel, inputs: Callable[..., list]) -> dict[type, Twin]:
+    """By type of the texels: (image, weights) -> image blurred along one axis."""
+    return {
+        t: Twin(
+            wp.overload(plain, [int, wp.array2d(dtype=t), wp.array(dtype=float), wp.array2d(dtype=t)]),
+            lanes,
+            inputs=inputs,
+            outputs=_out_in_lanes,
+            grid=partial(_runs_of_texels, components(t)),
+            fits=_fits_lanes,
+            tolerance=1e-6,
+        )
+        for t in DOUBLE
+    }
+
+
+BLUR_ROWS = _twins(blur_rows, blur_rows_lanes, _rows_in_lanes)
+BLUR_COLUMNS = _twins(blur_columns, blur_columns_lanes, _columns_in_lanes)
 
 
 def separable_blur(
@@ -138,10 +180,10 @@ def separable_blur(
     """``image`` blurred by the outer product of ``weights`` with itself, on the device of the image.
 
     Args:
-        image: (H, W) of vec2 or vec4; a part of a larger one too.
+        image: (H, W) of float, vec2, vec4 or vec8; a part of a larger one too.
         weights: An odd number of taps; ``box_weights`` or ``gaussian_weights``. Used as float32.
         threads: CPU threads; see ``wkernels.device.launch``. The result does not depend on it.
-        scratch: Holds the row pass, contiguous; like ``image`` and not the same array. A new one if not given.
+        scratch: Holds the row pass; like ``image`` and not the same array. A new one if not given.
         out: Like ``image``, and may be the same array. A new one if not given.
 
     Returns:
@@ -151,24 +193,13 @@ def separable_blur(
         TypeError: The image has another type.
         ValueError: The number of weights is even.
     """
-    if image.dtype not in _TYPES or image.ndim != 2:
-        raise TypeError(f"a blur needs a 2-D array of vec2 or vec4, not {image.dtype.__name__}")
+    texel = check_image(image, "a blur")
     if len(weights) % 2 == 0:
         raise ValueError(f"a blur needs an odd number of weights, not {len(weights)}")
     device = str(image.device)
     scratch = wp.empty_like(image) if scratch is None else scratch
     out = wp.empty_like(image) if out is None else out
     taps = wp.array(np.asarray(weights, np.float32), dtype=float, device=device)
-    components = image.dtype._length_
-    row_floats = image.shape[1] * components
-    dense = image.strides[1] == out.strides[1] == 4 * components and scratch.is_contiguous
-    if uses_lanes(device) and row_floats >= LANES and dense:
-        runs = (image.shape[0], runs_per_row(row_floats))
-        inputs = [flat_floats(image), runs_of(image, Floats), image.strides[0] // 4, row_floats, components, taps]
-        launch(blur_rows_lanes, runs, inputs, [runs_of(scratch, Floats)], device=device, threads=threads)
-        inputs = [runs_of(scratch, Floats), out.strides[0] // 4, row_floats, image.shape[0], taps]
-        launch(blur_columns_lanes, runs, inputs, [runs_of(out, Floats)], device=device, threads=threads)
-        return out
-    launch(_BLUR_ROWS[image.dtype], image.shape, [image, taps], [scratch], device=device, threads=threads)
-    launch(_BLUR_COLUMNS[image.dtype], image.shape, [scratch, taps], [out], device=device, threads=threads)
+    launch(BLUR_ROWS[texel], image.shape, [image, taps], [scratch], device=device, threads=threads)
+    launch(BLUR_COLUMNS[texel], image.shape, [scratch, taps], [out], device=device, threads=threads)
     return out

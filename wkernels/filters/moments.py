@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, Pairs
-from wkernels.light_maps.comparison_lanes import first_texels
-from wkernels.light_maps.light_map import LightMap, to_texel
-from wkernels.light_maps.receiver_lanes import ReceiverRun
+from wkernels.device.lanes import LANES, Floats, Pairs, flat_floats, row_runs, store_run
+from wkernels.device.twin import Twin
+from wkernels.filters.map_images import (
+    MapImage,
+    fill_image,
+    new_image,
+    sample_bilinear,
+    sample_component_run,
+    texels_round_run,
+)
+from wkernels.light_maps.host_map import HostMap
+from wkernels.light_maps.light_map import Bias, LightMap
+from wkernels.light_maps.receiver_lanes import LaneViews, ReceiverRun, in_lane_views, locate_run
+from wkernels.light_maps.receivers import receiver_of_pixel
+from wkernels.raster.gbuffer import GBuffer
+from wkernels.scene.geometry import Geometry
+from wkernels.workspace.workspace import Workspace
 
 
 @wp.struct
@@ -72,25 +87,42 @@ def find_moments(
 @wp.kernel
 def find_moments_lanes(
     first: int,
-    depth: wp.array(dtype=Floats),  # of the map, a run from every texel on
+    depth: wp.array2d(dtype=Floats),  # the rows of a layer, a run from every texel on
     chebyshev: Chebyshev,
-    begin: int,  # of the layer
-    pitch: int,
-    resolution: int,
-    moments_out: wp.array(dtype=Pairs),
+    slope_variance: int,  # 0
+    moments_out: wp.array2d(dtype=Pairs),
 ):
     """``find_moments`` of a run of texels, without the slope term; a row's last run begins within the one before."""
     row, run = wp.tid()
-    at = begin + (first + row) * pitch + wp.min(run * LANES, resolution - LANES)
+    y = first + row
+    start = wp.min(run * LANES, depth.shape[1] - 1)
     near = chebyshev.near
     per_length = chebyshev.per_length
-    depths = depth[at]
+    depths = depth[y, start]
     out = Pairs()
     for k in range(LANES):
         z = wp.min((depths[k] - near) * per_length, 1.0) - 0.5
         out[2 * k] = z
         out[2 * k + 1] = z * z
-    moments_out[2 * at] = out
+    moments_out[y, 2 * start] = out
+
+
+def _layer_in_lanes(depth: wp.array, chebyshev: Chebyshev, slope_variance: int) -> list:
+    return [row_runs(depth, Floats), chebyshev, slope_variance]
+
+
+def _out_in_pairs(image: wp.array) -> list:
+    return [row_runs(image, Pairs)]
+
+
+def _fits_lanes(depth: wp.array, chebyshev: Chebyshev, slope_variance: int, image: wp.array) -> bool:
+    return bool(depth.shape[1] >= LANES) and not slope_variance
+
+
+FIND_MOMENTS = Twin(
+    find_moments, find_moments_lanes, inputs=_layer_in_lanes, outputs=_out_in_pairs, fits=_fits_lanes, tolerance=1e-6
+)
+"""(depth of a layer, chebyshev, slope_variance) -> moments of each of its texels."""
 
 
 @wp.func
@@ -99,64 +131,120 @@ def lit_share_run(chebyshev: Chebyshev, moments: wp.array(dtype=float), receiver
 
     ``moments`` are those of all layers, flat, in the layout of the map.
     """
-    begin = first_texels(light_map, receivers)
-    pitch = light_map.pitch
-    resolution = light_map.resolution
+    at = texels_round_run(light_map, receivers)
+    means = sample_component_run(moments, 2, 0, at)
+    squares = sample_component_run(moments, 2, 1, at)
     layers = receivers.layer
     visible = receivers.visible
-    xs = receivers.x
-    ys = receivers.y
     own = receivers.depth
     near = chebyshev.near
     per_length = chebyshev.per_length
     least = chebyshev.min_variance
     bleeding = chebyshev.bleeding
-    last = resolution - 1
     for k in range(LANES):
-        left = wp.floor(xs[k] - 0.5)
-        top = wp.floor(ys[k] - 0.5)
-        x0 = wp.clamp(int(left), 0, last)
-        x1 = wp.clamp(int(left) + 1, 0, last)
-        y0 = begin[k] + wp.clamp(int(top), 0, last) * pitch
-        y1 = begin[k] + wp.clamp(int(top) + 1, 0, last) * pitch
-        fx = xs[k] - 0.5 - left
-        fy = ys[k] - 0.5 - top
-        a = 2 * (y0 + x0)
-        b = 2 * (y0 + x1)
-        c = 2 * (y1 + x0)
-        d = 2 * (y1 + x1)
-        upper = moments[a] * (1.0 - fx) + moments[b] * fx
-        lower = moments[c] * (1.0 - fx) + moments[d] * fx
-        upper_square = moments[a + 1] * (1.0 - fx) + moments[b + 1] * fx
-        lower_square = moments[c + 1] * (1.0 - fx) + moments[d + 1] * fx
-        mean = upper * (1.0 - fy) + lower * fy
-        square = upper_square * (1.0 - fy) + lower_square * fy
         depth = wp.min((own[k] - near) * per_length, 1.0) - 0.5
-        behind = depth - mean
-        variance = wp.max(square - mean * mean, least)
+        behind = depth - means[k]
+        variance = wp.max(squares[k] - means[k] * means[k], least)
         bound = wp.where(behind > 0.0, variance / (variance + behind * behind), 1.0)
         lit = wp.max(bound - bleeding, 0.0) / (1.0 - bleeding)
         visible[k] = wp.where(layers[k] >= 0, lit, visible[k])
     return visible
 
 
-@wp.func
-def sample_bilinear(image: wp.array(dtype=wp.vec2), light_map: LightMap, layer: int, x: float, y: float):
-    """Bilinear lookup at a position in texels, in the layout of a map; beyond a layer's border the nearest repeats."""
-    last = light_map.resolution - 1
-    left = wp.floor(x - 0.5)
-    top = wp.floor(y - 0.5)
-    x0 = wp.clamp(int(left), 0, last)
-    x1 = wp.clamp(int(left) + 1, 0, last)
-    y0 = wp.clamp(int(top), 0, last)
-    y1 = wp.clamp(int(top) + 1, 0, last)
-    fx = x - 0.5 - left
-    fy = y - 0.5 - top
-    row_0 = to_texel(light_map, layer, 0, y0)
-    row_1 = to_texel(light_map, layer, 0, y1)
-    upper = image[row_0 + x0] * (1.0 - fx) + image[row_0 + x1] * fx
-    lower = image[row_1 + x0] * (1.0 - fx) + image[row_1 + x1] * fx
-    return upper * (1.0 - fy) + lower * fy
+@wp.kernel
+def look_up_moments(
+    first: int,
+    gbuffer: GBuffer,
+    light_map: LightMap,
+    bias: Bias,
+    chebyshev: Chebyshev,
+    moments: wp.array(dtype=wp.vec2),  # in the layout of the map
+    visibility_out: wp.array2d(dtype=float),
+):
+    """One bilinear lookup of filtered moments per pixel."""
+    row, x = wp.tid()
+    y = first + row
+    receiver = receiver_of_pixel(gbuffer, light_map, bias, y, x)
+    visible = receiver.visible
+    if receiver.layer >= 0:
+        mean = sample_bilinear(moments, light_map, receiver.layer, receiver.x, receiver.y)
+        visible = lit_share(chebyshev, mean, normalised(chebyshev, receiver.depth))
+    visibility_out[y, x] = visible
+
+
+@wp.kernel
+def look_up_moments_lanes(
+    first: int,
+    views: LaneViews,
+    light_map: LightMap,
+    bias: Bias,
+    chebyshev: Chebyshev,
+    moments: wp.array(dtype=float),
+    visibility_out: wp.array2d(dtype=float),
+):
+    """``look_up_moments`` of a run of pixels."""
+    row, column = wp.tid()
+    y = first + row
+    x0 = column * LANES
+    receivers = locate_run(views, light_map, bias, x0, y)
+    visible = receivers.visible
+    if receivers.count > 0:
+        visible = lit_share_run(chebyshev, moments, receivers, light_map)
+    store_run(visible, x0, y, visibility_out)
+
+
+def _in_lanes(gbuffer: GBuffer, light_map: LightMap, bias: Bias, chebyshev: Chebyshev, moments: wp.array) -> list:
+    return in_lane_views(gbuffer, light_map, bias, chebyshev, flat_floats(moments))
+
+
+LOOK_UP_MOMENTS = Twin(look_up_moments, look_up_moments_lanes, inputs=_in_lanes, tolerance=1e-4, flips=1e-3)
+"""(gbuffer, light_map, bias, chebyshev, moments) -> visibility of every pixel."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Moments:
+    """Moments of one light map.
+
+    Attributes:
+        chebyshev: The depth range they are normalised to, and the constants of the bound.
+        image: vec2, mean and mean square of normalised depth.
+    """
+
+    chebyshev: Chebyshev
+    image: MapImage
+
+
+def pull_moments(
+    work: Workspace,
+    light_map: HostMap,
+    geometry: Geometry,
+    *,
+    min_variance: float,
+    bleeding: float,
+    slope_variance: bool = False,
+) -> Moments:
+    """Unfiltered moments of a map as a product.
+
+    Args:
+        work: Where they are kept; of one technique label, whose constants stay.
+        light_map: The map.
+        geometry: Spans the depth range.
+        min_variance: As in ``Chebyshev``.
+        bleeding: Likewise.
+        slope_variance: Whether the variance of depth within each texel is added (Lauritzen 2007).
+    """
+
+    def build(old: Moments | None) -> Moments:
+        box, chebyshev = geometry.bounds(casters=True, receivers=True), Chebyshev()
+        near, far = depth_range(light_map.map.ws_to_ls.numpy(), box.corners)
+        chebyshev.near, chebyshev.per_length = near, 1.0 / (far - near)
+        chebyshev.min_variance, chebyshev.bleeding = min_variance, bleeding
+        image = new_image(work, light_map.layout, wp.vec2, old.image if old else None, light_map.slot)
+        fill_image(work, FIND_MOMENTS, light_map, [chebyshev, int(slope_variance)], image)
+        return Moments(chebyshev=chebyshev, image=image)
+
+    moments: Moments = work.product("moments", ("moments", light_map.slot), (light_map.map,), build)
+    return moments
 
 
 def depth_range(ws_to_ls: np.ndarray, corners_ws: np.ndarray) -> tuple[float, float]:

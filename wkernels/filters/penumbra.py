@@ -290,6 +290,15 @@ def penumbra_spread(
 
 
 @wp.func
+def penumbra_box(spread: wp.mat22):
+    """Half-sides (x, y) in texels of the box with a spread's second moments, at least 1/2: less filters nothing."""
+    return wp.vec2(
+        wp.max(wp.length(wp.vec2(spread[0, 0], spread[0, 1])), 0.5),
+        wp.max(wp.length(wp.vec2(spread[1, 0], spread[1, 1])), 0.5),
+    )
+
+
+@wp.func
 def pcss_visibility(
     light_map: LightMap,
     footprint: LightFootprint,

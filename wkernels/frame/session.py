@@ -14,7 +14,7 @@ import warp as wp
 
 from wkernels.device.launch import wake_workers
 from wkernels.frame.history import History
-from wkernels.frame.pulls import LightViews, Pulls
+from wkernels.frame.light_side import LightSide, LightViews
 from wkernels.frame.result import (
     SHADING,
     FrameResult,
@@ -39,7 +39,7 @@ class Renders(Protocol):
         """Visibility of the frame's receivers, float32: a ``visibility_buffer``, or an array of the frame's size."""
 
 
-class Session(Pulls):
+class Session(LightSide):
     """Products, history and timers of one technique label; the geometry is shared between labels.
 
     Args:
@@ -56,7 +56,6 @@ class Session(Pulls):
 
     Attributes:
         index: Frame index in the scene's path.
-        standard_error: A technique may set it in ``render``; float32, of its visibility's size.
     """
 
     def __init__(
@@ -77,7 +76,6 @@ class Session(Pulls):
         options = {"device": device, "threads": threads, "seed": seed, "skips": skips, "done_anyway": done_anyway}
         super().__init__(geometry, width, height, light_index, projection, **options)
         self.index = index
-        self.standard_error: wp.array | None = None
         self._histories: dict[str, History] = {}
         self._previous_camera: Any = None
         self._previous_index: int | None = None
@@ -98,7 +96,6 @@ class Session(Pulls):
         """Runs one technique on the current frame and reads its results back (reading back is not timed)."""
         self.forget_left_out()
         self.forget_pulls()
-        self.standard_error = None
         wake_workers(self.device, self.threads)
         self._timer.start()
         visibility = technique.render(self)

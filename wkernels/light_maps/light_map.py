@@ -12,7 +12,6 @@ import warp as wp
 
 from wkernels.light_maps.storage import MapLayout, layers_on_host
 
-BIAS_KINDS = ("none", "constant", "slope", "back_face", "slope_back_face", "normal")
 BIAS_NONE, BIAS_CONSTANT, BIAS_SLOPE, BIAS_NORMAL = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
 BY_MARGIN, BY_DEPTH, FIRST_INSIDE = wp.constant(0), wp.constant(1), wp.constant(2)
 FILTER_TEXELS = wp.constant(4.0)  # a finer layer is taken only this far inside its border, where filters have room

@@ -6,7 +6,7 @@ its own and filters end at its border, so that pictures do not depend on it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -38,7 +38,7 @@ MAX_TILE = 2048
 class MapOptions:
     """How a projection wants its maps stored and drawn; neither changes a texel's value.
 
-    A projection (``wkernels.frame.session.LightViews``) may have one as its attribute ``map_options``.
+    A projection (``frame.light_side.LightViews``) may have one as its attribute ``map_options``.
 
     Attributes:
         storage: A key of ``PLACES``.
@@ -108,6 +108,21 @@ def allocate(layout: MapLayout, dtype: type, device: str) -> wp.array:
     held = wp.empty(layout.texels + 4 * PAGE // size, dtype=dtype, device=device)
     skip = -(held.ptr // size) % (4 * PAGE // size)
     return held[skip : skip + layout.texels]
+
+
+def row_stride(layout: MapLayout) -> int:
+    """Texels from one map to the next where maps of one layout lie side by side: whole pages."""
+    return -(-layout.texels // PAGE) * PAGE
+
+
+def allocate_rows(layout: MapLayout, rows: int, dtype: type, device: str) -> wp.array:
+    """Memory of so many maps or images of one layout, its content undefined.
+
+    Returns:
+        (rows, row_stride(layout)); a row has the texels of ``layout`` at its begin.
+    """
+    stride = row_stride(layout)
+    return allocate(replace(layout, texels=rows * stride), dtype, device).reshape((rows, stride))
 
 
 def layer_images(texels: wp.array, layout: MapLayout) -> list[wp.array]:

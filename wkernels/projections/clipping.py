@@ -1,8 +1,8 @@
 """Convex clipping: polyhedra in float64 on the host, small polygons in homogeneous coordinates in kernels.
 
-The host half builds the bodies that light-space focusing intersects (B = V and S and Lf, CATALOGUE focused_sm). A plane
-is ``(a, b, c, d)`` and keeps the points with ``a x + b y + c z + d >= 0``. The kernel half clips *before* the division
-by w, so that corners beside and behind the projection centre need no special case (CATALOGUE wedge_rectangular).
+The host half builds the bodies that light-space focusing intersects (B of Stingl 2011, section 3.1). A plane is
+``(a, b, c, d)`` and keeps the points with ``a x + b y + c z + d >= 0``. The kernel half clips *before* the division by
+w, so that corners beside and behind the projection centre need no special case (Assarsson et al. 2003, section 4.2.2).
 """
 
 from __future__ import annotations

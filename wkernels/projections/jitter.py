@@ -2,7 +2,7 @@
 
 A shift is added in the plane of the map, rows x and y of the matrix by a multiple of row w, and a turn is made there
 too. Both act behind any projection: uniform and warped views, splits and the faces of a cube. (Scherzer, Jeschke and
-Wimmer 2007, as CATALOGUE tc_hard has it: rotate or shift the light's frustum.)
+Wimmer 2007 rotate or shift the light's frustum; Schwaerzler 2009, section 5.2.2.)
 """
 
 from __future__ import annotations

@@ -9,13 +9,16 @@ threads.
 - ``lanes``: the CPU's path, bands of rows with the inner loops written so that LLVM turns them into SIMD;
 - ``tiles``: the plain CPU path, the others' twin, for targets narrower than 8 pixels and matrices that no light has;
 - ``stripes``: CUDA;
-- ``counting``, ``lane_counting``: how often pixels are covered, on the same three;
-- ``triangles``: projection, clipping, coverage and depth functions that they share.
+- ``counting``, ``lane_counting``: how often pixels are covered, on the same three; ``homogeneous``: by triangles that
+  reach to infinity;
+- ``triangles``, ``clipping``: projection, clipping, coverage and depth functions that they share;
+- ``binning``: convex shapes in lists per tile of pixels, for kernels that are not about depth.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -25,6 +28,7 @@ from wkernels.device.launch import wake_workers
 from wkernels.errors import InputError
 from wkernels.raster.blocks import MAX_VIEWS, TriangleBlocks
 from wkernels.raster.counting import COUNT_ALL, COUNT_FARTHER, COUNT_NEARER, Counted, count_plainly
+from wkernels.raster.homogeneous import project_homogeneous
 from wkernels.raster.lane_bands import PIECE, DepthKey
 from wkernels.raster.lane_counting import LaneCounter
 from wkernels.raster.lanes import MAX_TRIANGLES, LaneRasteriser, depth_key
@@ -36,6 +40,7 @@ from wkernels.raster.triangles import (
     CULL_BACK,
     CULL_FRONT,
     CULL_NONE,
+    NO_TRIANGLE,
     ScreenTriangles,
     flag_clipped,
     project_vertices,
@@ -75,7 +80,7 @@ class Rasteriser:
         self.device, self.threads, self.path = device, threads, path
         self._scratch = Scratch(device, threads)
         self._lanes = LaneRasteriser(self._scratch)
-        self._counter = LaneCounter(self._scratch)
+        self._counter = LaneCounter(Scratch(device, threads))  # either holds the corners of its own triangles
 
     def draw(
         self,
@@ -90,7 +95,7 @@ class Rasteriser:
 
         Args:
             points_ws: vec3, shape (V,).
-            indices: int32, shape (3 T,).
+            indices: int32, shape (3 T,). An array that is given again must hold the same.
             view: Target size and projection; 1 to 8192 pixels per side.
             depth_out: float32 (H, W), a part of a larger image too: linear depth of the nearest surface, +inf where
                 there is none.
@@ -101,12 +106,50 @@ class Rasteriser:
         if (key := self._lane_key(indices, view, depth_out, triangle_out)) is not None:
             self._lanes.draw(points_ws, indices, view, key, depth_out, triangle_out, cull)
             return
-        triangles, total = self._project(points_ws, indices, view, cull)
-        with_triangles = int(triangle_out is not None)
-        if triangle_out is None:
-            triangle_out = self._scratch.array("no triangles", (1, 1), int)
-        draw = draw_tiles if wp.get_device(self.device).is_cpu else draw_stripes
-        draw(self._scratch, triangles, total, with_triangles, depth_out, triangle_out)
+        self._draw_plainly(*self._project(points_ws, indices, view, cull), depth_out, triangle_out)
+
+    def peel(
+        self,
+        points_ws: wp.array,
+        indices: wp.array,
+        view: View,
+        depth_out: Sequence[wp.array],
+        triangle_out: Sequence[wp.array] | None = None,
+        cull: int = CULL_NONE,
+        drawn: Callable[[int], None] = lambda peel: None,
+    ) -> None:
+        """Draws the nearest surfaces of each pixel, one after the other (depth peeling: Everitt 2001).
+
+        The first are those of ``draw``, bit for bit; each further one is the nearest of what lies farther than the one
+        before. Surfaces at one depth, to the last bit, are one.
+
+        Args:
+            points_ws: vec3, shape (V,).
+            indices: int32, shape (3 T,).
+            view: As for ``draw``.
+            depth_out: float32 (H, W) each, nearest first, of the same strides; +inf where there is none left.
+            triangle_out: int32, likewise, or None.
+            cull: CULL_NONE, CULL_BACK or CULL_FRONT, as seen from the view.
+            drawn: Called with the number of each when its images are complete; one of ``triangle_out`` may then be
+                the next one's too.
+        """
+        wake_workers(self.device, self.threads)
+        owners = triangle_out or [None] * len(depth_out)
+        if (key := self._lane_key(indices, view, depth_out[0], owners[0])) is not None:
+            draw = self._lanes.peeler(points_ws, indices, view, key, depth_out[0], cull)
+        else:
+            triangles, total = self._project(points_ws, indices, view, cull)
+            draw = partial(self._peel_plainly, triangles, total)
+        left = True
+        for peel, (depth, owner) in enumerate(zip(depth_out, owners, strict=True)):
+            if left:
+                draw(depth, owner)
+                left = peel + 1 == len(depth_out) or bool(depth.numpy().min() < np.inf)
+            else:
+                depth.fill_(float("inf"))
+                if owner is not None:
+                    owner.fill_(int(NO_TRIANGLE))
+            drawn(peel)
 
     def draw_many(
         self,
@@ -184,22 +227,30 @@ class Rasteriser:
         test: int = COUNT_NEARER,
         front: int = 1,
         back: int = -1,
+        slack: float = 0.0,
     ) -> None:
         """Counts the faces that cover each pixel before or behind what is seen there (Crow 1977, Heidmann 1991).
 
-        Coverage is that of ``draw``. Triangles are clipped at the near plane, so that COUNT_NEARER says nothing true of
-        volumes that hold the eye or are cut there; COUNT_FARTHER does, for closed volumes. Nothing is clipped at the
-        far plane: a volume that should reach to infinity is extruded by 1e4 times the scene's size.
+        Coverage is that of ``draw``. Faces may reach to infinity, and nothing is cut at the far plane (Everitt and
+        Kilgard 2002); they are clipped at the near plane, so that COUNT_NEARER says nothing true of volumes that hold
+        the eye or are cut there. COUNT_FARTHER does, for closed volumes.
+
+        Where faces lie on what is seen, as a volume's caps do, test against depths that ``draw`` gave, as snapped
+        vertices tilt a face: a G-buffer's exact ones differ by the depth's change over 1/256 pixel.
 
         Args:
-            points_ws: vec3, shape (V,).
+            points_ws: vec3, shape (V,), or vec4: (x, y, z, 1), or (x, y, z, 0) for what lies infinitely far away along
+                (x, y, z). A triangle with any other w below 0, or a vertex that is no number or all 0, is none.
             indices: int32, shape (3 T,).
             view: Target size and projection; 1 to 8192 pixels per side.
-            depth: float32 (H, W): linear depth of what is seen, +inf where that is nothing; None for COUNT_ALL.
+            depth: float32 (H, W): linear depth of what is seen, +inf, behind all faces, where that is nothing; None for
+                COUNT_ALL.
             count_out: int32 (H, W): the sum of what all counted faces add; within 2^24 at any time.
-            test: COUNT_NEARER (the face's depth < ``depth``), COUNT_FARTHER (all others), COUNT_ALL.
+            test: COUNT_NEARER (the face's depth < (1 - ``slack``) ``depth``), COUNT_FARTHER (all others), COUNT_ALL.
             front: What a face that is counter-clockwise seen from the view adds.
-            back: What any other adds. (1, -1) counts volumes entered and not left; (1, 0) and (0, 1) either kind alone.
+            back: What any other adds. (1, -1) before what is seen counts volumes entered and not left, as does (-1, 1)
+                behind it; (1, 0) and (0, 1) count either kind alone.
+            slack: Share of the depth by which a face on what is seen may come out before it and yet count as behind.
 
         Raises:
             InputError: No depth to test against.
@@ -210,6 +261,7 @@ class Rasteriser:
             depth = self._scratch.array("no depth", (1, 8), float)
         counted = Counted()
         counted.depth, counted.test, counted.front, counted.back = depth, test, front, back
+        counted.limit = 1.0 - slack
         cull = CULL_FRONT if front == 0 else CULL_BACK if back == 0 else CULL_NONE
         key = self._lane_key(indices, view, count_out)
         if key is not None and not key.warped and depth.is_contiguous and count_out.is_contiguous:
@@ -217,6 +269,21 @@ class Rasteriser:
             return
         triangles, total = self._project(points_ws, indices, view, cull)
         count_plainly(self._scratch, triangles, total, counted, count_out)
+
+    def _draw_plainly(
+        self, triangles: ScreenTriangles, total: int, depth_out: wp.array, triangle_out: wp.array | None
+    ) -> None:
+        with_triangles = int(triangle_out is not None)
+        if triangle_out is None:
+            triangle_out = self._scratch.array("no triangles", (1, 1), int)
+        draw = draw_tiles if wp.get_device(self.device).is_cpu else draw_stripes
+        draw(self._scratch, triangles, total, with_triangles, depth_out, triangle_out)
+
+    def _peel_plainly(
+        self, triangles: ScreenTriangles, total: int, depth_out: wp.array, triangle_out: wp.array | None
+    ) -> None:
+        self._draw_plainly(triangles, total, depth_out, triangle_out)
+        triangles.peels, triangles.nearer = 1, depth_out
 
     def _lane_key(
         self, indices: wp.array, view: View, out: wp.array, triangle_out: wp.array | None = None
@@ -234,7 +301,8 @@ class Rasteriser:
         out.screen = scratch.array("screen", (len(points_ws),), wp.vec4)
         out.indices, out.count = indices, count
         out.width, out.height, out.far, out.cull = view.width, view.height, view.far, cull
-        scratch.launch(project_vertices, len(points_ws), [points_ws, view], [out.screen])
+        project = project_homogeneous if points_ws.dtype is wp.vec4 else project_vertices
+        scratch.launch(project, len(points_ws), [points_ws, view], [out.screen])
         flags = scratch.array("flags", (count,), wp.uint8)
         scratch.launch(flag_clipped, count, [out.screen, indices], [flags])
         clipped = np.flatnonzero(flags.numpy()[:count])  # scratch holds at least one

@@ -30,7 +30,8 @@ class Counted:
     """What is counted."""
 
     depth: wp.array2d(dtype=float)  # linear depth of what is seen; not read for COUNT_ALL
-    test: int  # COUNT_ALL, COUNT_NEARER (depth < seen) or COUNT_FARTHER (all others)
+    test: int  # COUNT_ALL, COUNT_NEARER (depth < limit * seen) or COUNT_FARTHER (all others)
+    limit: float
     front: int  # what a front face adds, and a back face
     back: int
 
@@ -40,7 +41,7 @@ def is_counted(counted: Counted, depth: float, y: int, x: int):
     """Whether a surface of this depth passes the test."""
     result = counted.test == COUNT_ALL
     if counted.test != COUNT_ALL:
-        result = (depth < counted.depth[y, x]) == (counted.test == COUNT_NEARER)
+        result = (depth < counted.limit * counted.depth[y, x]) == (counted.test == COUNT_NEARER)
     return result
 
 

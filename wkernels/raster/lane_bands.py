@@ -21,6 +21,7 @@ PIECE_64 = wp.constant(wp.float64(8.0))
 PIXEL_64 = wp.constant(wp.float64(256.0))
 FAR_KEY = wp.constant(1.0e30)
 UNCOVERED = wp.constant(-4.0e30)  # times (edge function + 1/2): beyond any key where negative, below any where not
+PEELED = wp.constant(4.0e30)  # times 1/2: beyond any key
 HUGE = wp.constant(1.0e38)
 LEAST_FACTOR = wp.constant(1.0e-30)  # beyond a warped view's horizon, where nothing is drawn
 
@@ -70,6 +71,9 @@ class Target:
     width: int
     height: int
     pitch: int
+    peels: int  # 1: keys are kept in ``nearer`` too; 2: and only what lies farther than those there is drawn
+    nearer: wp.array(dtype=float)  # the keys of what was peeled off before, of the same pitch
+    nearer_piece: wp.array(dtype=Piece)
 
 
 @wp.struct
@@ -101,7 +105,7 @@ def unwarp(key: DepthKey, target: Target, top: int, bottom: int, steps: Piece):
 
 
 @wp.func
-def draw_piece(target: Target, at: int, key: Piece, triangle: Piece):
+def keep_piece(target: Target, at: int, key: Piece, triangle: Piece):
     """Keeps the nearer of a piece's keys and the target's, and its triangle; the first stays where they are equal."""
     old = target.key_piece[at]
     if target.with_triangles != 0:
@@ -109,6 +113,16 @@ def draw_piece(target: Target, at: int, key: Piece, triangle: Piece):
         held = target.triangle_piece[at]
         target.triangle_piece[at] = held + wp.cw_mul(nearer, triangle - held)
     target.key_piece[at] = wp.min(old, key)
+
+
+@wp.func
+def draw_piece(target: Target, at: int, key: Piece, triangle: Piece):
+    """``keep_piece`` of what lies farther than what was peeled off before, if anything was."""
+    if target.peels == 2:
+        farther = wp.min(wp.max((key - target.nearer_piece[at]) * HUGE, Piece(0.0)), Piece(1.0))
+        keep_piece(target, at, wp.max(key, (Piece(0.5) - farther) * PEELED), triangle)
+    else:
+        keep_piece(target, at, key, triangle)
 
 
 @wp.func
@@ -185,7 +199,10 @@ def draw_wide(
             at += PIECE
         for k in range(wp.max(count, 0) % PIECE):
             near = wp.clamp(float(value + wp.float64(k) * slope), lowest, highest)
-            if near < target.key[at + k]:
+            farther = target.peels != 2
+            if not farther:
+                farther = near > target.nearer[at + k]
+            if farther and near < target.key[at + k]:
                 target.key[at + k] = near
                 if target.with_triangles != 0:
                     target.triangle[at + k] = triangle
@@ -347,6 +364,12 @@ def draw_band(
                         in_b += down_b
                         in_c += down_c
                         at += pitch
+    if target.peels != 0:
+        for row in range(rows):
+            begin = (top + row) * pitch
+            end = begin + row_pixels
+            for at in range(begin, end, PIECE):
+                target.nearer_piece[wp.min(at, end - PIECE)] = target.key_piece[wp.min(at, end - PIECE)]
     if depth_key.warped != 0:
         unwarp(depth_key, target, top, bottom, steps)
     # Keys become depths; what lies beyond the far plane, and the background, overflows to infinity.

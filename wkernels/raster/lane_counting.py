@@ -146,6 +146,7 @@ def count_band(
     height: int,
     perspective: int,
     test: int,
+    limit: float,
     front_weight: float,
     back_weight: float,
     steps: Piece,
@@ -169,12 +170,13 @@ def count_band(
     if test != COUNT_ALL:
         for y in range(top, bottom + 1):
             for x in range(0, width - PIECE + 1, PIECE):
-                seen = depth_piece[y * width + x]
+                seen = depth_piece[y * width + x] * limit
                 if perspective == 1:
                     seen = wp.cw_div(one, zero - seen)
                 target.seen_piece[y * pitch + x] = seen
             for x in range(width - width % PIECE, width):
-                target.seen[y * pitch + x] = wp.where(perspective == 1, -1.0 / depth[y, x], depth[y, x])
+                seen_x = depth[y, x] * limit
+                target.seen[y * pitch + x] = wp.where(perspective == 1, -1.0 / seen_x, seen_x)
     e_a = Floats(0.0)
     e_b = Floats(0.0)
     e_c = Floats(0.0)
@@ -309,6 +311,7 @@ class LaneCounter(LaneLists):
         cull: int,
     ) -> None:
         """``Rasteriser.count`` for views that are not warped; ``key`` is ``depth_key(view)``."""
+        self._corners_of = None  # volumes are written anew into the same arrays
         lists = self.list(points_ws, indices, view, key.perspective, cull)
         pitch = -(-(view.width + PIECE) // PIECE) * PIECE  # a piece may begin at the last pixel of a row
         size, pixels = pitch * lists.bands * lists.band_rows + 2 * PIECE, view.width * view.height
@@ -320,7 +323,7 @@ class LaneCounter(LaneLists):
         target.always, target.if_nearer = ALWAYS[counted.test], IF_NEARER[counted.test]
         inputs: list[Any] = [lists.corners, lists.corner_pitch, lists.vertex, lists.key, lists.begin, lists.listed]
         inputs += [lists.band_rows, view.height, key.perspective, counted.test]
-        inputs += [float(counted.front), float(counted.back), _STEPS, target]
+        inputs += [counted.limit, float(counted.front), float(counted.back), _STEPS, target]
         inputs += [counted.depth, pieces(counted.depth.ptr, pixels, Piece)]
         outputs = [pieces(count_out.ptr, pixels, IntPiece), count_out]
         self._scratch.launch(count_band, lists.bands, inputs, outputs, tile=1)

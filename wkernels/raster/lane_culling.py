@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.raster.triangles import CLIP_TRIANGLES, CULL_BACK, CULL_NONE, GUARD_PIXELS, HALF_PIXEL, SUBPIXELS
+from wkernels.raster.clipping import CLIP_TRIANGLES
+from wkernels.raster.triangles import CULL_BACK, CULL_NONE, GUARD_PIXELS, HALF_PIXEL, SUBPIXELS
 from wkernels.scene.views import View
 
 LANES = wp.constant(128)  # vertices or triangles in one step

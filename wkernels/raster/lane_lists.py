@@ -10,6 +10,8 @@ import numpy as np
 import warp as wp
 
 from wkernels.raster.blocks import BlockViews
+from wkernels.raster.clipping import CLIP_TRIANGLES, CLIP_VERTICES, clip_homogeneous, clip_triangles
+from wkernels.raster.homogeneous import pack_homogeneous
 from wkernels.raster.lane_bands import LANES as BAND_LANES
 from wkernels.raster.lane_bands import Ints as BandInts
 from wkernels.raster.lane_culling import (
@@ -32,7 +34,6 @@ from wkernels.raster.split_culling import (
     project_cloned,
     project_instanced,
 )
-from wkernels.raster.triangles import CLIP_TRIANGLES, CLIP_VERTICES, clip_triangles
 from wkernels.scene.views import View
 
 CHUNKS = 32
@@ -100,8 +101,11 @@ class LaneLists:
         self._hold_corners(indices, _runs(triangles) * LANES)
         room = _runs(vertices) * LANES
         vertex, key = scratch.array("vertex", (room,), wp.int64), scratch.array("key", (room,), float)
-        if vertices:
-            inputs: list[Any] = [*self._point_runs(points_ws), view, perspective]
+        inputs: list[Any]
+        if points_ws.dtype is wp.vec4:
+            scratch.launch(pack_homogeneous, vertices, [points_ws, view, perspective], [vertex, key])
+        elif vertices:
+            inputs = [*self._point_runs(points_ws), view, perspective]
             scratch.launch(project_lanes, _runs(vertices), inputs, [_in_runs(vertex, Longs), _in_runs(key, Floats)])
         survivor, span, clipped = (scratch.array(name, (triangles,), int) for name in ("survivor", "span", "clipped"))
         found = scratch.array("found", (2, CHUNKS + 1), int)
@@ -185,7 +189,8 @@ class LaneLists:
             clip_screen = scratch.array("clip screen", (slots * CLIP_VERTICES,), wp.vec4)
             clip_corners = scratch.array("clip corners", (slots * CLIP_TRIANGLES,), wp.vec3i)
             inputs: list[Any] = [points_ws, indices, which, view]
-            scratch.launch(clip_triangles, slots, inputs, [clip_screen, clip_corners, clip_triangle])
+            clip = clip_homogeneous if points_ws.dtype is wp.vec4 else clip_triangles
+            scratch.launch(clip, slots, inputs, [clip_screen, clip_corners, clip_triangle])
             total = clip_begin + slots * CLIP_TRIANGLES
             self._hold_corners(indices, total)
             room = clip_vertex + slots * CLIP_VERTICES

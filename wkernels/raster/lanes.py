@@ -77,7 +77,27 @@ class LaneRasteriser(LaneLists):
     ) -> None:
         """``Rasteriser.draw`` for fewer than MAX_TRIANGLES triangles; ``key`` is ``depth_key(view)``."""
         lists = self.list(points_ws, indices, view, key.perspective, cull)
-        self._draw(lists, view, key, depth_out, triangle_out, cull)
+        self._draw(lists, view, key, _target(view, depth_out, triangle_out), cull)
+
+    def peeler(
+        self, points_ws: wp.array, indices: wp.array, view: View, key: DepthKey, like: wp.array, cull: int
+    ) -> Callable[[wp.array, wp.array | None], None]:
+        """``Rasteriser.peel``: draws one depth and triangle image after the other, all with the strides of ``like``.
+
+        Triangles are culled and listed once for all of them, so that nothing else may be drawn in between.
+        """
+        lists = self.list(points_ws, indices, view, key.perspective, cull)
+        nearer = self._scratch.array("nearer keys", (_pixels_of(view, like),), float)
+        peels = 1
+
+        def draw(depth_out: wp.array, triangle_out: wp.array | None) -> None:
+            nonlocal peels
+            target = _target(view, depth_out, triangle_out)
+            target.peels, peels = peels, 2
+            target.nearer, target.nearer_piece = nearer, pieces(nearer.ptr, len(nearer), Piece)
+            self._draw(lists, view, key, target, cull)
+
+        return draw
 
     def draw_splits(
         self,
@@ -111,27 +131,24 @@ class LaneRasteriser(LaneLists):
             culled = self.cull_splits(points_ws, indices, splits, views[0], cull, seen, drawing == "cloned")
             for i, own in enumerate(culled, first):
                 lists = self.finish(points_ws, indices, views[i], keys[i].perspective, cull, own)
-                self._draw(lists, views[i], keys[i], *targets(i), cull)
+                self._draw(lists, views[i], keys[i], _target(views[i], *targets(i)), cull)
                 drawn(i)
 
-    def _draw(
-        self,
-        lists: BandLists,
-        view: View,
-        key: DepthKey,
-        depth_out: wp.array,
-        triangle_out: wp.array | None,
-        cull: int,
-    ) -> None:
+    def _draw(self, lists: BandLists, view: View, key: DepthKey, target: Target, cull: int) -> None:
         inputs = [lists.corners, lists.corner_pitch, lists.vertex, lists.key, lists.clip_triangle, lists.first_clipped]
         inputs += [lists.begin, lists.listed, lists.band_rows, view.far, key, cull, _STEPS]
-        self._scratch.launch(draw_band, lists.bands, inputs, [_target(view, depth_out, triangle_out)], tile=1)
+        self._scratch.launch(draw_band, lists.bands, inputs, [target], tile=1)
+
+
+def _pixels_of(view: View, image: wp.array) -> int:
+    """From the first pixel of an image to its last."""
+    return image.strides[0] // 4 * (view.height - 1) + view.width
 
 
 def _target(view: View, depth_out: wp.array, triangle_out: wp.array | None) -> Target:
     out = Target()
     pitch = depth_out.strides[0] // 4
-    pixels = pitch * (view.height - 1) + view.width
+    pixels = _pixels_of(view, depth_out)
     out.key, out.key_piece = _flat(depth_out.ptr, pixels, float), pieces(depth_out.ptr, pixels, Piece)
     if triangle_out is not None:
         address = triangle_out.ptr

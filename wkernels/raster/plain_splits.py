@@ -11,15 +11,13 @@ import numpy as np
 import warp as wp
 
 from wkernels.raster.blocks import BlockViews, needs
+from wkernels.raster.clipping import CLIP_TRIANGLES, CLIP_VERTICES, clip_homogeneous, clip_triangles
 from wkernels.raster.lane_culling import LANES
 from wkernels.raster.scratch import Scratch
 from wkernels.raster.stripes import BACKGROUND_KEY, STRIPES, draw_rows, draw_stripe, split_key
 from wkernels.raster.tiles import draw_tiles
 from wkernels.raster.triangles import (
-    CLIP_TRIANGLES,
-    CLIP_VERTICES,
     ScreenTriangles,
-    clip_triangles,
     needs_clipping,
     to_homogeneous_pixels,
 )
@@ -162,7 +160,8 @@ def clip_flagged(
     if slots:
         which = wp.array(clipped.astype(np.int32), dtype=int, device=scratch.device)
         outputs = [triangles.clip_screen, triangles.clip_corners, triangles.clip_triangle]
-        scratch.launch(clip_triangles, slots, [points_ws, triangles.indices, which, view], outputs)
+        clip = clip_homogeneous if points_ws.dtype is wp.vec4 else clip_triangles
+        scratch.launch(clip, slots, [points_ws, triangles.indices, which, view], outputs)
     return triangles.count + slots * int(CLIP_TRIANGLES)
 
 

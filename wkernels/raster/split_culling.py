@@ -3,7 +3,7 @@
 *Cloned*: one work item per run of vertices or chunk of triangles, with a loop over the views that need it.
 *Instanced*: one per run or chunk and view. Both leave out the same pairs, and write what single views write:
 ``project_run`` and ``cull_run`` are the bodies of ``project_lanes`` and ``cull_lanes``, which stay in one piece: as
-calls of these they measured some 5 % slower on single views.
+calls of these they are slower on single views.
 """
 
 from __future__ import annotations

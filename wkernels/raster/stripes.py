@@ -12,6 +12,7 @@ from wkernels.raster.triangles import (
     ScreenTriangles,
     edge,
     interpolate_depth,
+    is_peeled,
     set_up,
     top_left_bias,
     triangle_id,
@@ -40,7 +41,7 @@ def draw_rows(
         for x in range(s.x0, s.x1 + 1):
             if (e_a | e_b | e_c) >= wp.int64(0):
                 depth = interpolate_depth(s, e_a - bias_a, e_b - bias_b, e_c - bias_c)
-                if depth <= triangles.far:
+                if depth <= triangles.far and not is_peeled(triangles, depth, y, x):
                     high = wp.uint64(wp.cast(depth, wp.uint32))  # order of positive floats = order of their bits
                     wp.atomic_min(key_out, row_0 + y, x, (high << wp.uint64(32)) | low)
             e_a += (s.by - s.cy) * PIXEL_STEP

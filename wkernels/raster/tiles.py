@@ -18,6 +18,7 @@ from wkernels.raster.triangles import (
     ScreenTriangles,
     edge,
     interpolate_depth,
+    is_peeled,
     set_up,
     top_left_bias,
     triangle_id,
@@ -131,7 +132,7 @@ def draw_tile(
                 if (e_a | e_b | e_c) >= wp.int64(0):
                     depth = interpolate_depth(s, e_a - bias_a, e_b - bias_b, e_c - bias_c)
                     old = depth_out[y, x]
-                    if depth <= old and depth <= triangles.far:
+                    if depth <= old and depth <= triangles.far and not is_peeled(triangles, depth, y, x):
                         if with_triangles != 0:
                             t = triangle_id(triangles, tile_list[k])
                             if depth < old or t < triangle_out[y, x]:

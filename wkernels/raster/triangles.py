@@ -1,4 +1,4 @@
-"""Triangles on the screen: projection, clipping, and the exact coverage and depth functions of every drawing kernel."""
+"""Triangles on the screen: projection, and the exact coverage and depth functions of every drawing kernel."""
 
 from __future__ import annotations
 
@@ -10,15 +10,8 @@ SUBPIXELS = wp.constant(256)
 HALF_PIXEL = wp.constant(128)
 PIXEL_STEP = wp.constant(wp.int64(256))
 GUARD_PIXELS = wp.constant(16384.0)  # snapped coordinates stay below 2^23, edge functions below 2^49
-CLIP_PLANES = wp.constant(5)
-CLIP_VERTICES = wp.constant(3 + CLIP_PLANES)  # each plane adds at most one vertex to a convex polygon
-CLIP_TRIANGLES = wp.constant(1 + CLIP_PLANES)
 NO_TRIANGLE = wp.constant(-1)
 CULL_NONE, CULL_BACK, CULL_FRONT = wp.constant(0), wp.constant(1), wp.constant(2)
-
-# Clipping is done in double: float32 would lose the near plane where a triangle is 1e5 times as large as its distance.
-_Polygon = wp.types.matrix(shape=(3 + CLIP_PLANES, 4), dtype=wp.float64)
-GUARD_PIXELS_64 = wp.constant(wp.float64(16384.0))
 
 
 @wp.func
@@ -28,33 +21,6 @@ def to_homogeneous_pixels(view: View, position_ws: wp.vec3):
     return wp.vec4(
         0.5 * (clip[0] + clip[3]) * float(view.width), 0.5 * (clip[3] - clip[1]) * float(view.height), clip[2], clip[3]
     )
-
-
-@wp.func
-def to_homogeneous_pixels_64(view: View, position_ws: wp.vec3):
-    """``to_homogeneous_pixels`` in double."""
-    half = wp.float64(0.5)
-    clip = wp.mat44d(view.ws_to_ss) * wp.vec4d(
-        wp.float64(position_ws[0]), wp.float64(position_ws[1]), wp.float64(position_ws[2]), wp.float64(1.0)
-    )
-    x = half * (clip[0] + clip[3]) * wp.float64(view.width)
-    y = half * (clip[3] - clip[1]) * wp.float64(view.height)
-    return wp.vec4d(x, y, clip[2], clip[3])
-
-
-@wp.func
-def inside_distance(plane: int, h: wp.vec4d, near: wp.float64):
-    """Signed distance (any positive scale) of a homogeneous pixel position to a plane: near, then the guard band."""
-    distance = h[2] - near
-    if plane == 1:
-        distance = h[0] + GUARD_PIXELS_64 * h[3]
-    if plane == 2:
-        distance = GUARD_PIXELS_64 * h[3] - h[0]
-    if plane == 3:
-        distance = h[1] + GUARD_PIXELS_64 * h[3]
-    if plane == 4:
-        distance = GUARD_PIXELS_64 * h[3] - h[1]
-    return distance
 
 
 @wp.func
@@ -97,67 +63,6 @@ def is_finite_position(p: wp.vec3):
     return wp.abs(p[0]) + wp.abs(p[1]) + wp.abs(p[2]) < 3.0e38
 
 
-@wp.kernel
-def clip_triangles(
-    first: int,
-    points_ws: wp.array(dtype=wp.vec3),
-    indices: wp.array(dtype=int),
-    clipped: wp.array(dtype=int),
-    view: View,
-    screen_out: wp.array(dtype=wp.vec4),
-    corners_out: wp.array(dtype=wp.vec3i),
-    triangle_out: wp.array(dtype=int),
-):
-    """Clips one flagged triangle into a fan; slots it does not need become triangles without area."""
-    k = first + wp.tid()
-    t = clipped[k]
-    polygon = _Polygon()
-    kept = _Polygon()
-    count = int(0)
-    if (
-        is_finite_position(points_ws[indices[3 * t]])
-        and is_finite_position(points_ws[indices[3 * t + 1]])
-        and is_finite_position(points_ws[indices[3 * t + 2]])
-    ):
-        count = 3
-    near = wp.float64(view.near)
-    zero = wp.float64(0.0)
-    for i in range(count):
-        polygon[i] = to_homogeneous_pixels_64(view, points_ws[indices[3 * t + i]])
-    for plane in range(CLIP_PLANES):
-        n = int(0)
-        for i in range(count):
-            a = polygon[i]
-            b = polygon[(i + 1) % count]
-            da = inside_distance(plane, a, near)
-            db = inside_distance(plane, b, near)
-            if da >= zero:
-                kept[n] = a
-                n += 1
-                if db < zero:
-                    kept[n] = a + (b - a) * (da / (da - db))
-                    n += 1
-            elif db >= zero:  # always from the inside vertex, so that both triangles of an edge find the same point
-                kept[n] = b + (a - b) * (db / (db - da))
-                n += 1
-        for i in range(n):
-            polygon[i] = kept[i]
-        count = n
-    base = k * CLIP_VERTICES
-    screen_out[base] = wp.vec4()
-    for i in range(count):
-        over_w = wp.float64(1.0) / polygon[i][3]
-        screen_out[base + i] = wp.vec4(
-            float(polygon[i][0] * over_w), float(polygon[i][1] * over_w), float(polygon[i][2] * over_w), float(over_w)
-        )
-    for i in range(CLIP_TRIANGLES):
-        corners = wp.vec3i(base, base, base)
-        if i + 2 < count:
-            corners = wp.vec3i(base, base + i + 1, base + i + 2)
-        corners_out[k * CLIP_TRIANGLES + i] = corners
-        triangle_out[k * CLIP_TRIANGLES + i] = t
-
-
 @wp.struct
 class ScreenTriangles:
     """Projected triangles: those of the mesh, then the fans of the clipped ones."""
@@ -173,6 +78,17 @@ class ScreenTriangles:
     height: int
     far: float
     cull: int
+    peels: int  # 1: only what lies farther than ``nearer`` is drawn
+    nearer: wp.array2d(dtype=float)  # (H, W) depths
+
+
+@wp.func
+def is_peeled(triangles: ScreenTriangles, depth: float, y: int, x: int):
+    """Whether a depth counts as part of what is nearer than what is to be drawn."""
+    result = False
+    if triangles.peels != 0:
+        result = depth <= triangles.nearer[y, x]
+    return result
 
 
 @wp.struct

@@ -16,7 +16,6 @@ from wkernels.device.launch import launch
 
 WIDTH = wp.constant(8)
 Eight = wp.types.vector(length=WIDTH, dtype=wp.float32)
-MAX_LEVELS = 10  # 8^10 triangles
 HUGE_COORDINATE = wp.constant(3.0e38)
 
 

@@ -18,7 +18,7 @@ _PUBLISHED = (
 )  # fmt: skip
 
 PUBLISHED_POISSON_16 = np.array(_PUBLISHED)
-"""The 16 taps of the shader in source S0, appendix A (two of its digits restored, CATALOGUE pcf), float64 (16, 2).
+"""The 16 taps of the shader in Schwaerzler 2009, appendix A (one of them restored, docs/errata.md), float64 (16, 2).
 
 It is called a Poisson *disc* but fills the square [-1, 1]^2: 8 of its points lie outside the unit disc, the farthest at
 1.234, so it filters wider than its nominal radius. Its centroid is (-0.006, -0.019), not 0.

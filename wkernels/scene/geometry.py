@@ -173,7 +173,7 @@ class Geometry:
                 box.add(np.stack([own.low, own.high]))
         return box
 
-    def casters(self, *, moving: bool) -> tuple[wp.array, wp.array]:
+    def caster_buffers(self, *, moving: bool) -> tuple[wp.array, wp.array]:
         """The casting triangles of the meshes that move, or of those that stand still.
 
         Returns:

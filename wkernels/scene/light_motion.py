@@ -68,6 +68,11 @@ def transformed(light: Light, matrix: np.ndarray) -> Light:
     return out
 
 
+def own_width(light: Light) -> float:
+    """L of penumbra formulas: the light's size in scene units, or 2 tan(angle / 2) of a directional one."""
+    return float(2.0 * np.tan(0.5 * light.size)) if light.is_directional else light.size
+
+
 def displacement(now: Light, then: Light) -> float:
     """How far a light went, in its own sizes: the largest distance of a corner of its hull to where corners were.
 
@@ -77,9 +82,9 @@ def displacement(now: Light, then: Light) -> float:
     """
     corners, before = now.hull[:, :3], then.hull[:, :3]
     apart = float(np.linalg.norm(corners[:, None] - before[None], axis=2).min(axis=1).max())
-    size = 2.0 * np.tan(0.5 * now.size) if now.is_directional else now.size
     if apart == 0.0:
         return 0.0
+    size = own_width(now)
     return apart / size if size > 0.0 else float("inf")
 
 

@@ -9,7 +9,8 @@ from typing import Any
 
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, first_of, second_of
+from wkernels.device.lanes import LANES, Floats, first_of, flat_floats, flat_pairs, second_of
+from wkernels.device.twin import Twin
 from wkernels.filters.neighbourhood_filter import add_neighbours, add_neighbours_run
 from wkernels.sampling.estimators import sampling_weight
 from wkernels.temporal.shadow_buffer.record import TEXEL_TYPES, put
@@ -85,8 +86,9 @@ def blend_neighbourhood(
     visibility_out[y, x] = 1.0 - shown
 
 
-BLEND = {texel: wp.overload(blend_neighbourhood, {"texels": wp.array2d(dtype=texel)}) for texel in TEXEL_TYPES.values()}
-"""The kernel by texel type."""
+BLEND_PLAIN = {
+    texel: wp.overload(blend_neighbourhood, {"texels": wp.array2d(dtype=texel)}) for texel in TEXEL_TYPES.values()
+}
 
 
 @wp.kernel
@@ -95,9 +97,9 @@ def blend_neighbourhood_lanes(
     flat_psi_depth: wp.array(dtype=wp.int64),
     flat_error: wp.array(dtype=float),
     flat_half_width: wp.array(dtype=float),
-    flat_texels: wp.array(dtype=float),
     taps: wp.array(dtype=wp.vec2),
     settings: BlendSettings,
+    flat_texels: wp.array(dtype=float),
     texels: wp.array2d(dtype=wp.vec4),
     visibility_out: wp.array2d(dtype=float),
 ):
@@ -146,3 +148,22 @@ def blend_neighbourhood_lanes(
                     store_start(texels, y, x0 + k, shown[k], settings.start_weight)
     for k in range(wp.min(LANES, width - x0)):
         visibility_out[y, x0 + k] = 1.0 - shown[k]
+
+
+BLEND: dict[type, wp.Kernel | Twin] = {
+    **BLEND_PLAIN,
+    wp.vec4: Twin(
+        BLEND_PLAIN[wp.vec4],
+        blend_neighbourhood_lanes,
+        inputs=lambda psi_depth, error, half_width, *others: [
+            flat_pairs(psi_depth),
+            flat_floats(error),
+            flat_floats(half_width),
+            *others,
+        ],
+        outputs=lambda texels, visibility: [flat_floats(texels), texels, visibility],
+        tolerance=1e-5,
+        flips=1e-3,
+    ),
+}
+"""What blends, by texel type."""

@@ -1,17 +1,20 @@
 """Reprojection: where a point of this frame was in the previous one, and whether the same surface was stored there.
 
-(CATALOGUE tc_hard, tc_soft_thesis, tc_soft_paper.) Points are moved by the camera alone; a moving object's own motion
-is not followed. Pixel (x, y) covers [x, x + 1] x [y, y + 1], row 0 at the top.
+(Scherzer, Jeschke and Wimmer 2007; Schwaerzler 2009, section 5.2; Scherzer et al. 2009, section 3.2.) Points are moved
+by the camera alone; a moving object's own motion is not followed. Pixel (x, y) covers [x, x + 1] x [y, y + 1], row 0 at
+the top.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from wkernels.scene.views import View
+from wkernels.scene.views import View, pixel_along_ws, pixel_base_ws
 
 OUTSIDE_PX = wp.constant(-1.0e9)
 """Screen position given to points that have none."""
+
+EDGE_ON = wp.constant(1.0e-3)  # a plane seen at a smaller sine of the angle tells nothing about the next pixel's depth
 
 
 @wp.func
@@ -41,32 +44,30 @@ def is_inside(view: View, x_px: float, y_px: float) -> bool:
 
 
 @wp.func
-def nearest_texel(view: View, x_px: float, y_px: float) -> wp.vec2i:
-    """Column and row of the pixel that covers a screen position; (-1, -1) outside the image."""
-    if not is_inside(view, x_px, y_px):
-        return wp.vec2i(-1, -1)
-    return wp.vec2i(int(x_px), int(y_px))
+def is_same_depth(depth: float, stored_depth: float, epsilon: float) -> bool:
+    """Whether ``|depth - stored_depth| < epsilon``, scene units (Scherzer et al. 2009, equation 4).
 
-
-@wp.func
-def accept_relative(depth: float, stored_depth: float, epsilon: float) -> bool:
-    """Whether ``|1 - depth / stored_depth| < epsilon``: the test of the thesis (source S0, 5.2), 1e-3 there.
+    An epsilon in proportion to the stored depth makes it the relative test of Schwaerzler 2009, equation 5.18.
 
     Args:
         depth: Linear depth of the reprojected point in the previous view.
         stored_depth: What the previous frame stored there; take the absolute value first where a sign tags movers.
-        epsilon: Relative tolerance, no unit.
+        epsilon: Tolerance, scene units.
 
     Returns:
         False as well where nothing was stored (depth 0, infinite or NaN).
     """
-    return stored_depth > 0.0 and wp.abs(stored_depth - depth) < epsilon * stored_depth
+    return stored_depth > 0.0 and wp.abs(stored_depth - depth) < epsilon
 
 
 @wp.func
-def accept_absolute(depth: float, stored_depth: float, epsilon: float) -> bool:
-    """Whether ``|depth - stored_depth| < epsilon``, in scene units (source S3, equation 4).
-
-    The thesis finds this one unstable: no epsilon suits both ends of a deep scene. Otherwise as ``accept_relative``.
-    """
-    return stored_depth > 0.0 and wp.abs(stored_depth - depth) < epsilon
+def depth_on_plane(
+    view: View, x_px: float, y_px: float, position_ws: wp.vec3, normal_ws: wp.vec3, otherwise: float
+) -> float:
+    """Linear depth at a screen position of the plane through a point; ``otherwise`` where it is seen edge-on."""
+    along = pixel_along_ws(view, x_px, y_px)
+    slope = wp.dot(normal_ws, along)
+    result = otherwise
+    if wp.abs(slope) > EDGE_ON * wp.length(along):
+        result = wp.dot(normal_ws, position_ws - pixel_base_ws(view, x_px, y_px)) / slope
+    return result

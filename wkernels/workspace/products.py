@@ -22,6 +22,9 @@ class Product(Enum):
     LIGHT_SAMPLES = "light samples"
     RAY_STRUCTURE = "caster ray structure"
     CASTER_TREE = "caster tree"
+    CASTER_EDGES = "caster edges"
+    SILHOUETTES = "silhouettes"
+    VOLUMES = "volumes"
     HISTORY = "history"
 
 

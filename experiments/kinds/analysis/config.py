@@ -18,7 +18,12 @@ from experiments.schema.techniques import check_projection
 
 
 class AnalysisCamera(StrictModel):
-    """The eye: ``fov_deg`` is vertical, ``near`` and ``far`` in scene units."""
+    """The eye.
+
+    Attributes:
+        fov_deg: Vertical field of view.
+        near, far: Depth range, scene units.
+    """
 
     fov_deg: float = Field(gt=0.0, lt=180.0)
     near: float = Field(gt=0.0)
@@ -29,7 +34,13 @@ _PLAIN = Projection()
 
 
 class CurveFile(StrictModel):
-    """One curve, as it is written; ``Curve`` says what the keys mean."""
+    """One curve, as it is written; ``Curve`` says what the other keys mean.
+
+    Attributes:
+        splits: How many.
+        scheme: How the depth range is split.
+        lambda_: 0 = uniform, 1 = logarithmic; of the schemes ``practical`` and ``pseudo``.
+    """
 
     label: str = Field(min_length=1, max_length=100)
     warp: WarpName = _PLAIN.warp
@@ -46,7 +57,13 @@ class CurveFile(StrictModel):
 
 
 class AnalysisFile(StrictModel):
-    """An experiment file of ``kind: analysis``."""
+    """An experiment file of ``kind: analysis``.
+
+    Attributes:
+        camera: The eye.
+        light_angle_deg: Angle between light and view direction; 90 = overhead.
+        curves: Lines of the plot.
+    """
 
     kind: Literal["analysis"]
     camera: AnalysisCamera

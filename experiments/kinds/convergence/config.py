@@ -32,7 +32,12 @@ STEPS = (1, 3, 7, 20, 256)  # the frames of Scherzer 2009, Fig 2
 
 
 class Crop(StrictModel):
-    """The part of the frames that the pictures side by side show, in pixels from the upper left corner."""
+    """The part of the frames that the pictures side by side show.
+
+    Attributes:
+        x, y: Its upper left corner, pixels from that of the frame.
+        width, height: Its size, pixels.
+    """
 
     x: int = Field(ge=0)
     y: int = Field(ge=0)
@@ -47,7 +52,14 @@ class ConvergenceReference(Reference):
 
 
 class ConvergenceFile(StrictModel):
-    """An experiment file of ``kind: convergence``; ``Convergence`` says what the keys mean."""
+    """An experiment file of ``kind: convergence``; ``Convergence`` says what the other keys mean.
+
+    Attributes:
+        scene: A scene file, or its keys.
+        reference: As in a walkthrough, of 4096 samples; ``every`` is in steps.
+        projection: As in a walkthrough.
+        techniques: As in a walkthrough.
+    """
 
     kind: Literal["convergence"]
     scene: str | dict[str, Any]
@@ -64,7 +76,11 @@ class ConvergenceFile(StrictModel):
 
 
 class EstimatesFile(StrictModel):
-    """The small form; ``Estimates`` says what the keys mean."""
+    """The small form.
+
+    Attributes:
+        tests: Shadow tests of one point in order: 1 where the light sample is hidden.
+    """
 
     kind: Literal["convergence"]
     tests: list[Annotated[int, Field(ge=0, le=1)]] = Field(min_length=1, max_length=100_000)

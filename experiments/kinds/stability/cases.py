@@ -1,4 +1,4 @@
-"""The stiff cases X1 to X12, each with levels of rising stiffness; the first level is the easy one."""
+"""The stiff cases X1 to X12 (docs/glossary.md), each with levels of rising stiffness; the first is the easy one."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Case:
     Attributes:
         name: Key in files.
         title: What grows, for people.
-        source: X number.
+        source: X number of the case.
         levels: The easy one first.
         build: Level and light kind -> setting.
         needs: Parameter without which a technique is not concerned; None: all are.

@@ -14,7 +14,12 @@ from wkernels.errors import nearest
 
 
 class StabilityFile(StrictModel):
-    """An experiment file of ``kind: stability``."""
+    """An experiment file of ``kind: stability``.
+
+    Attributes:
+        techniques: Names; all unless listed.
+        cases: Names of cases; all unless listed.
+    """
 
     kind: Literal["stability"]
     techniques: list[str] | None = None

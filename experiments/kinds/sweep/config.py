@@ -33,7 +33,14 @@ Budget = str | Annotated[float, Field(gt=0.0)]
 
 
 class SweepFile(RunFile):
-    """An experiment file of this kind; ``Sweep`` says what the keys mean."""
+    """An experiment file of this kind.
+
+    Attributes:
+        scene: A scene file, or its keys; instead of ``scenes``.
+        scenes: Several; one that is written here may have a ``name``.
+        techniques: As in a walkthrough; ``all``, or as an entry, stands for all that no other entry names.
+        budgets: Labels whose time and error, or milliseconds that, the others are compared at, besides the baseline.
+    """
 
     kind: Literal["sweep"]
     scene: str | dict[str, Any] | None = None

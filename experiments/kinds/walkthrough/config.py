@@ -19,7 +19,12 @@ from wkernels.errors import nearest
 
 
 class WalkthroughFile(RunFile):
-    """An experiment file of this kind; ``Experiment`` says what the keys mean."""
+    """An experiment file of this kind; ``RunFile`` and ``Experiment`` say what the other keys mean.
+
+    Attributes:
+        scene: A scene file, relative to this one, or its keys.
+        techniques: What is compared; entries as below.
+    """
 
     kind: Literal["walkthrough"]
     scene: str | dict[str, Any]

@@ -46,7 +46,7 @@ def run(
     left_out: Sequence[Row] = (),
     refusals_fail: bool = False,
 ) -> Path:
-    """Runs an experiment and writes its result folder.
+    """Runs an experiment and writes its result folder (docs/formats.md).
 
     Args:
         experiment: The resolved experiment.

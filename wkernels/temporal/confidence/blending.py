@@ -1,9 +1,9 @@
 """How much one hard shadow test says of a point, and what it adds to what earlier frames said.
 
-Source: Scherzer, Jeschke and Wimmer 2007, as CATALOGUE tc_hard has it. A texel's depth is true at its centre; the test
-of a point at (dx, dy) texels from there has the confidence (1 - 2 max(|dx|, |dy|))^m. Over a map that is shifted in
-every frame the weighted mean of the tests of one point is the exact shadow, smoothed over the kernel of that formula:
-its mean distance from the point is 1 / (m + 3) texels along the longer axis.
+Source: Scherzer, Jeschke and Wimmer 2007; the formula of the confidence is our reading of it. A texel's depth is true
+at its centre; the test of a point at (dx, dy) texels from there has the confidence (1 - 2 max(|dx|, |dy|))^m. Over a
+map that is shifted in every frame the weighted mean of the tests of one point is the exact shadow, smoothed over the
+kernel of that formula: its mean distance from the point is 1 / (m + 3) texels along the longer axis.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""One frame's hard shadow tests, added to what pixels remember by their confidence (see ``confidence.py``).
+"""One frame's hard shadow tests, added to what pixels remember by their confidence (see ``blending``).
 
-Texels are those of a shadow buffer (``shadow_buffer.py``): rho is the weighted sum of tests, n the frames they count
-for, and in place of the mean blocker they keep the blur of their reads. The plain kernel; the CPU's is in
-``confident_history_lanes.py``.
+Texels are those of a shadow buffer (``shadow_buffer.record``): rho is the weighted sum of tests, n the frames they
+count for, and in place of the mean blocker they keep the blur of their reads. The plain kernel; ``history_lanes`` has
+the CPU's.
 """
 
 from __future__ import annotations

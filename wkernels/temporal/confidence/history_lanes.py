@@ -1,18 +1,20 @@
-"""``confident_history`` for a run of pixels at a time; see ``receiver_lanes.py`` for how such code is written."""
+"""``history`` for a run of pixels at a time; ``docs/lanes.md`` says how such code is written."""
 
 from __future__ import annotations
 
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, Ints
+from wkernels.device.lanes import LANES, Floats, Ints, flat_floats, runs_of
+from wkernels.device.twin import Twin
 from wkernels.light_maps.comparison_lanes import first_texels
 from wkernels.light_maps.light_map import BIAS_SLOPE, LightMap
-from wkernels.light_maps.receiver_lanes import LaneViews, locate_run
-from wkernels.raster.gbuffer import GBuffer
+from wkernels.light_maps.point_lanes import points_of_run
+from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
+from wkernels.raster.gbuffer import PADDING, GBuffer
 from wkernels.scene.views import View
 from wkernels.temporal.confidence.blending import LEAST_CONFIDENCE
-from wkernels.temporal.confidence.history import ConfidentSettings
-from wkernels.temporal.history_lanes import HistoryRun, PlaceRun, fetch_run, place_run, points_of_run
+from wkernels.temporal.confidence.history import ConfidentSettings, add_confident_test
+from wkernels.temporal.shadow_buffer.record_lanes import HistoryRun, PlaceRun, fetch_run, place_run
 
 
 @wp.kernel
@@ -134,3 +136,12 @@ def add_confident_test_lanes(
             rho[k] * keeps, n[k] * keeps, eye_depths[k] / far, blurs[k] * float(receives[k])
         )
         visibility_out[y, x0 + k] = 1.0 - psi[k]
+
+
+def _in_lanes(gbuffer: GBuffer, light_map: LightMap, *others: object) -> list:
+    *_, previous = others
+    views = [lane_views(gbuffer, light_map), runs_of(gbuffer.depth, Floats, PADDING), flat_floats(previous)]
+    return [*views, gbuffer, light_map, *others]
+
+
+ADD_CONFIDENT_TEST = Twin(add_confident_test, add_confident_test_lanes, inputs=_in_lanes, tolerance=1e-4, flips=0.01)

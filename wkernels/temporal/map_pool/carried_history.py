@@ -10,8 +10,7 @@ from __future__ import annotations
 import warp as wp
 
 from wkernels.scene.views import View
-from wkernels.temporal.reprojection import accept_absolute, is_inside, reproject
-from wkernels.temporal.shadow_buffer.record import depth_on_plane
+from wkernels.temporal.reprojection import depth_on_plane, is_inside, is_same_depth, reproject
 
 STEPS = wp.constant(128.0)  # of an offset of one pixel
 CODES = wp.constant(512.0)  # codes of an offset along one axis, -256 to 255
@@ -70,7 +69,7 @@ def fetch_sums(
         held = decode_offset(texel[3])
         offset = wp.vec2(float(x) + 0.5 + held[0] - at[0], float(y) + 0.5 + held[1] - at[1])
         near = wp.max(wp.abs(offset[0]), wp.abs(offset[1])) < FARTHEST
-        if texel[1] > 0.0 and near and accept_absolute(expected, texel[2], epsilon + 1.0e-6 * texel[2]):
+        if texel[1] > 0.0 and near and is_same_depth(expected, texel[2], epsilon + 1.0e-6 * texel[2]):
             result.rho = texel[0]
             result.n = texel[1]
             result.offset = offset

@@ -1,4 +1,4 @@
-"""Drawing the maps of a pool (``map_pool``): layer by layer into an image, and from there into tiles."""
+"""Drawing the maps of a pool (``pool``): layer by layer into an image, and from there into tiles."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, runs_of, uses_lanes
+from wkernels.device.lanes import LANES, Floats, runs_of
 from wkernels.device.launch import launch
+from wkernels.device.twin import Twin
 from wkernels.light_maps.depth_clamp import clamp_casters
-from wkernels.light_maps.drawing import clamps_of
+from wkernels.light_maps.map_look import clamps_of
 from wkernels.raster import Rasteriser, TriangleBlocks
 from wkernels.scene.views import HostView
 from wkernels.temporal.map_pool.pool import CONSTANTS, TILE, MapPool, TexelTile, layer_constants
@@ -23,32 +24,35 @@ def store_tiles(
     columns: int,
     nearest: wp.array(dtype=float),
     layer: int,
-    pool: MapPool,
+    resolution: int,
+    tiles: int,
+    depth_out: wp.array2d(dtype=TexelTile),
 ):
     """Copies squares of an image into layers of a pool, a tile a cell of a grid (tiles, tiles, squares).
 
     Args:
         first: Tile offset. drawn: Squares of the pool's resolution, row by row. columns: How many in a row.
         nearest: 0 for a square that holds depths; else the depth z0 of the keys 1 - z0 / z that it holds.
-        layer: Of the first square; the others follow. pool: Written to.
+        layer: Of the first square; the others follow. resolution: Texels along a square. tiles: Likewise.
+        depth_out: The pool's.
     """
     row, column, square = wp.tid()
     line = first + row
     least = nearest[square]
-    left = (square % columns) * pool.resolution
-    top = (square // columns) * pool.resolution
+    left = (square % columns) * resolution
+    top = (square // columns) * resolution
     tile = TexelTile()
     for i in range(TILE):
         for j in range(TILE):
             y = TILE * line + i
             x = TILE * column + j
             depth = float(wp.inf)
-            if y < pool.resolution and x < pool.resolution:
+            if y < resolution and x < resolution:
                 depth = drawn[top + y, left + x]
                 if least > 0.0 and depth < 1.0:
                     depth = least / (1.0 - depth)
             tile[i * TILE + j] = depth
-    pool.depth[layer + square, line * pool.tiles + column] = tile
+    depth_out[layer + square, line * tiles + column] = tile
 
 
 @wp.kernel
@@ -89,18 +93,31 @@ def store_tiles_lanes(
         depth_out[at + LANES * tile] = out
 
 
+STORE_TILES = Twin(
+    store_tiles,
+    store_tiles_lanes,
+    inputs=lambda drawn, columns, nearest, layer, resolution, tiles: [
+        runs_of(drawn, Floats),
+        drawn.shape[1],
+        columns,
+        nearest,
+        layer,
+        tiles,
+    ],
+    outputs=lambda depth: [runs_of(depth, Floats)],
+    grid=lambda grid: (grid[0], grid[1] * TILE // int(LANES), grid[2]),
+    fits=lambda drawn, columns, nearest, layer, resolution, *_: resolution % int(LANES) == 0,
+    tolerance=1e-6,
+)
+
+
 def store_layers(
     drawn: wp.array, columns: int, nearest: wp.array, layer: int, pool: MapPool, threads: int | None
 ) -> None:
     """Copies as many squares of an image as ``nearest`` has entries into a pool; arguments as for ``store_tiles``."""
-    device, squares = str(drawn.device), len(nearest)
-    if uses_lanes(device) and pool.resolution % int(LANES) == 0:
-        inputs = [runs_of(drawn, Floats), drawn.shape[1], columns, nearest, layer, pool.tiles]
-        grid = (pool.tiles, pool.resolution // int(LANES), squares)
-        launch(store_tiles_lanes, grid, inputs, [runs_of(pool.depth, Floats)], device=device, threads=threads)
-    else:
-        inputs = [drawn, columns, nearest, layer, pool]
-        launch(store_tiles, (pool.tiles, pool.tiles, squares), inputs, device=device, threads=threads)
+    inputs = [drawn, columns, nearest, layer, pool.resolution, pool.tiles]
+    grid = (pool.tiles, pool.tiles, len(nearest))
+    launch(STORE_TILES, grid, inputs, [pool.depth], device=str(drawn.device), threads=threads)
 
 
 class PoolPainter:

@@ -1,4 +1,4 @@
-"""Which maps of a pool are drawn in which frame: the host's side of ``map_pool``."""
+"""Which maps of a pool are drawn in which frame: the host's side of ``pool``."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class KeptMaps:
         self.maps: int
         self.pool: MapPool
         self.points: np.ndarray  # of the light, by slot, float64 (maps, 4)
-        casters = frame.geometry.casters(moving=False)
+        casters = frame.geometry.caster_buffers(moving=False)
         self._painter = PoolPainter(casters, resolution, frame.device, frame.threads, frame.skips)
         self._movers: np.ndarray | None = None  # a box of where receivers that move have been, and may soon be
         self._start: int  # frame count from which on the pool is filled

@@ -1,4 +1,4 @@
-"""``map_pool`` for a run of pixels at a time; ``docs/lanes.md`` says how such code is written."""
+"""``pool.map_test`` for a run of pixels at a time; ``docs/lanes.md`` says how such code is written."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import warp as wp
 
 from wkernels.device.lanes import LANES, Floats, Ints, flat_floats
 from wkernels.light_maps.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL, BIAS_SLOPE, ROUNDING, Bias
+from wkernels.light_maps.point_lanes import PointRun
 from wkernels.scene.geometry import CASTS
-from wkernels.temporal.history_lanes import PointRun
 from wkernels.temporal.map_pool.pool import CONSTANTS, EDGE_ON, TILE, MapPool
 
 

@@ -117,7 +117,7 @@ class MoverMaps:
 
     def __init__(self, frame: Session, maps: int, resolution: int) -> None:
         self.device, self.threads, self.resolution = frame.device, frame.threads, resolution
-        self.points, self.indices = frame.geometry.casters(moving=True)
+        self.points, self.indices = frame.geometry.caster_buffers(moving=True)
         self.pool = allocate_pool(maps, 1, resolution, frame.device)
         self._rasteriser = Rasteriser(frame.device, frame.threads)
         self._columns = max(1, min(int(np.ceil(maps**0.5)), MAX_SIDE // resolution))

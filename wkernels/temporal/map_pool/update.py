@@ -1,6 +1,6 @@
 """One frame's step of a pixel's sums: tests against the maps of a pool, as many as the pixel still needs.
 
-The plain kernels; ``pool_update_lanes.py`` has the CPU's. Estimates after Scherzer et al. 2009, equations 1 to 5.
+The plain kernels; ``update_lanes`` has the CPU's. Estimates after Scherzer et al. 2009, equations 1 to 5.
 """
 
 from __future__ import annotations

@@ -1,19 +1,30 @@
-"""``pool_update`` for a run of pixels at a time; ``docs/lanes.md`` says how such code is written."""
+"""``update`` for a run of pixels at a time; ``docs/lanes.md`` says how such code is written."""
 
 from __future__ import annotations
 
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, Ints
+from wkernels.device.lanes import LANES, Floats, Ints, flat_floats, runs_of
+from wkernels.device.twin import Twin
 from wkernels.light_maps.light_map import Bias
-from wkernels.light_maps.receiver_lanes import LaneViews
+from wkernels.light_maps.point_lanes import PointRun, points_of_run
+from wkernels.light_maps.receiver_lanes import LaneViews, lane_views
+from wkernels.raster.gbuffer import PADDING
 from wkernels.scene.views import View
-from wkernels.temporal.history_lanes import PointRun, points_of_run
 from wkernels.temporal.map_pool.carried_history import CODES, FARTHEST, STEPS
-from wkernels.temporal.map_pool.lanes import PoolViews, casting_run, pool_test_run
+from wkernels.temporal.map_pool.lanes import PoolViews, casting_run, pool_test_run, pool_views
 from wkernels.temporal.map_pool.pool import MapPool
-from wkernels.temporal.map_pool.update import BORDER, PRIOR, MoverReach, PoolSteps, hidden_variance, map_at
-from wkernels.temporal.shadow_buffer.record import EDGE_ON
+from wkernels.temporal.map_pool.update import (
+    BORDER,
+    PRIOR,
+    MoverReach,
+    PoolSteps,
+    add_movers,
+    hidden_variance,
+    map_at,
+    update_sums,
+)
+from wkernels.temporal.reprojection_lanes import depths_on_planes, reproject_run
 
 
 @wp.struct
@@ -29,68 +40,38 @@ class SumLanes:
 @wp.func
 def fetch_lanes(previous: wp.array(dtype=float), view: View, points: PointRun, wanted: Ints, epsilon: float):
     """``fetch_sums`` of the lanes that are wanted (1); ``previous`` flat (4 H W,)."""
-    px = points.x
-    py = points.y
-    pz = points.z
-    nx = points.normal_x
-    ny = points.normal_y
-    nz = points.normal_z
-    m = view.ws_to_ss
-    m00, m01, m02, m03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]
-    m10, m11, m12, m13 = m[1, 0], m[1, 1], m[1, 2], m[1, 3]
-    m20, m21, m22, m23 = m[2, 0], m[2, 1], m[2, 2], m[2, 3]
-    m30, m31, m32, m33 = m[3, 0], m[3, 1], m[3, 2], m[3, 3]
-    base = view.origin_ws
-    b_x, b_y, b_z = base[0], base[1], base[2]
-    bx_x, bx_y, bx_z = view.base_dx_ws[0], view.base_dx_ws[1], view.base_dx_ws[2]
-    by_x, by_y, by_z = view.base_dy_ws[0], view.base_dy_ws[1], view.base_dy_ws[2]
-    a_x, a_y, a_z = view.along_ws[0], view.along_ws[1], view.along_ws[2]
-    ax_x, ax_y, ax_z = view.along_dx_ws[0], view.along_dx_ws[1], view.along_dx_ws[2]
-    ay_x, ay_y, ay_z = view.along_dy_ws[0], view.along_dy_ws[1], view.along_dy_ws[2]
+    seen = reproject_run(view, points, wanted)
+    inside = seen.inside
+    at_x = seen.x
+    at_y = seen.y
     width = view.width
     height = view.height
+    columns = Ints(0)
+    lines = Ints(0)
+    for k in range(LANES):
+        here = inside[k]
+        code = previous[4 * wp.where(here != 0, int(at_y[k]) * width + int(at_x[k]), 0) + 3]
+        code_x = wp.floor(code / CODES)
+        here_x = (code_x - 256.0) / STEPS
+        here_y = (code - code_x * CODES - 256.0) / STEPS
+        columns[k] = wp.clamp(int(wp.floor(wp.where(here != 0, at_x[k] - here_x, 0.0))), 0, width - 1)
+        lines[k] = wp.clamp(int(wp.floor(wp.where(here != 0, at_y[k] - here_y, 0.0))), 0, height - 1)
+    expected = depths_on_planes(view, points, columns, lines, 0, 0, seen.depth)
     rho = Floats(0.0)
     n = Floats(0.0)
     offset_x = Floats(0.0)
     offset_y = Floats(0.0)
     for k in range(LANES):
-        w = m30 * px[k] + m31 * py[k] + m32 * pz[k] + m33
-        over_w = 1.0 / wp.where(w > 0.0, w, 1.0)
-        at_x = (0.5 + 0.5 * ((m00 * px[k] + m01 * py[k] + m02 * pz[k] + m03) * over_w)) * float(width)
-        at_y = (0.5 - 0.5 * ((m10 * px[k] + m11 * py[k] + m12 * pz[k] + m13) * over_w)) * float(height)
-        in_x = wp.where(at_x >= 0.0, wp.where(at_x < float(width), 1, 0), 0)
-        in_y = wp.where(at_y >= 0.0, wp.where(at_y < float(height), 1, 0), 0)
-        here = wp.where(w > 0.0, in_x & in_y & wanted[k], 0)
-        code = previous[4 * wp.where(here != 0, int(at_y) * width + int(at_x), 0) + 3]
-        code_x = wp.floor(code / CODES)
-        here_x = (code_x - 256.0) / STEPS
-        here_y = (code - code_x * CODES - 256.0) / STEPS
-        column = wp.clamp(int(wp.floor(wp.where(here != 0, at_x - here_x, 0.0))), 0, width - 1)
-        line = wp.clamp(int(wp.floor(wp.where(here != 0, at_y - here_y, 0.0))), 0, height - 1)
-        at = 4 * (line * width + column)
+        at = 4 * (lines[k] * width + columns[k])
         held_rho = previous[at]
         held_n = previous[at + 1]
         held_depth = previous[at + 2]
         held_code = previous[at + 3]
-        x_px = float(column) + 0.5
-        y_px = float(line) + 0.5
-        along_x = a_x + x_px * ax_x + y_px * ay_x
-        along_y = a_y + x_px * ax_y + y_px * ay_y
-        along_z = a_z + x_px * ax_z + y_px * ay_z
-        slope = nx[k] * along_x + ny[k] * along_y + nz[k] * along_z
-        length = wp.sqrt(along_x * along_x + along_y * along_y + along_z * along_z)
-        seen = wp.abs(slope) > EDGE_ON * length
-        from_x = px[k] - (b_x + x_px * bx_x + y_px * by_x)
-        from_y = py[k] - (b_y + x_px * bx_y + y_px * by_y)
-        from_z = pz[k] - (b_z + x_px * bx_z + y_px * by_z)
-        on_plane = (nx[k] * from_x + ny[k] * from_y + nz[k] * from_z) / wp.where(seen, slope, 1.0)
-        own_depth = m20 * px[k] + m21 * py[k] + m22 * pz[k] + m23
-        expected = wp.where(seen, on_plane, own_depth)
-        close = wp.abs(held_depth - expected) < epsilon + 1.0e-6 * held_depth
+        close = wp.abs(held_depth - expected[k]) < epsilon + 1.0e-6 * held_depth
         held_x = wp.floor(held_code / CODES)
-        off_x = x_px + (held_x - 256.0) / STEPS - at_x
-        off_y = y_px + (held_code - held_x * CODES - 256.0) / STEPS - at_y
-        near = wp.where(wp.max(wp.abs(off_x), wp.abs(off_y)) < FARTHEST, here, 0)
+        off_x = float(columns[k]) + 0.5 + (held_x - 256.0) / STEPS - at_x[k]
+        off_y = float(lines[k]) + 0.5 + (held_code - held_x * CODES - 256.0) / STEPS - at_y[k]
+        near = wp.where(wp.max(wp.abs(off_x), wp.abs(off_y)) < FARTHEST, inside[k], 0)
         taken = wp.where(close, wp.where(held_n > 0.0, wp.where(held_depth > 0.0, near, 0), 0), 0)
         rho[k] = wp.where(taken != 0, held_rho, 0.0)
         n[k] = wp.where(taken != 0, held_n, 0.0)
@@ -187,6 +168,23 @@ def update_sums_lanes(
         error_out[y, x0 + k] = error[k]
 
 
+UPDATE_SUMS = Twin(
+    update_sums,
+    update_sums_lanes,
+    inputs=lambda gbuffer, pool, steps, view, previous: [
+        lane_views(gbuffer),
+        runs_of(gbuffer.depth, Floats, PADDING),
+        pool_views(pool),
+        pool,
+        steps,
+        view,
+        flat_floats(previous),
+    ],
+    tolerance=1e-4,
+    flips=0.01,
+)
+
+
 @wp.func
 def reached_lanes(reach: MoverReach, points: PointRun):
     """``may_reach`` of the lanes that receive, as 0 and 1."""
@@ -268,3 +266,20 @@ def add_movers_lanes(
                 visibility[y, x0 + k] = wp.max(visibility[y, x0 + k] - hidden[k] / total, 0.0)
                 more = hidden_variance(hidden[k], total, even)
                 error[y, x0 + k] = wp.sqrt(error[y, x0 + k] * error[y, x0 + k] + more)
+
+
+ADD_MOVERS = Twin(
+    add_movers,
+    add_movers_lanes,
+    inputs=lambda gbuffer, pool, movers, *others: [
+        lane_views(gbuffer),
+        runs_of(gbuffer.depth, Floats, PADDING),
+        pool_views(pool),
+        pool_views(movers),
+        pool,
+        movers,
+        *others,
+    ],
+    tolerance=1e-4,
+    flips=0.01,
+)

@@ -10,7 +10,8 @@ sum of squares): that is by how much n grows a frame, from 1 for a single light 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,10 +19,12 @@ import warp as wp
 
 from wkernels.filters.neighbourhood_filter import pixels_per_length
 from wkernels.filters.penumbra import LightFootprint, penumbra_ratio
+from wkernels.frame.session import Session
 from wkernels.light_maps.light_map import LightMap, locate
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.sampling.estimators import add_test, hidden_share, standard_error
 from wkernels.scene.geometry import RECEIVES
+from wkernels.scene.light_motion import ageing_window, displacement
 from wkernels.scene.lights import Light
 from wkernels.temporal.shadow_buffer.record import (
     TEXEL_TYPES,
@@ -31,7 +34,8 @@ from wkernels.temporal.shadow_buffer.record import (
     shadow_test,
     write_record,
 )
-from wkernels.temporal.shadow_buffer.update import DISOCCLUDE, FULL_WIDTH_ERROR, UpdateSettings
+from wkernels.temporal.shadow_buffer.rules import DISOCCLUDE, SampledLight, UpdateRules
+from wkernels.temporal.shadow_buffer.update import FULL_WIDTH_ERROR
 from wkernels.workspace.left_out import Omission
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec. 709 colours (ITU-R BT.709)
@@ -63,14 +67,54 @@ def drawn_light(weights: np.ndarray, frame: int) -> int:
     return int(np.searchsorted(np.cumsum(weights)[:-1], np.mod(0.5 + GOLDEN * frame, 1.0), side="right"))
 
 
+@dataclass(frozen=True)
+class LightTurn:
+    """One light's map in a frame.
+
+    Attributes:
+        light: Whose it is, rebased world.
+        weight: Of a test in it: by how much n grows.
+        slot: What tells the map from those of other turns.
+    """
+
+    light: Light
+    weight: float
+    slot: Hashable
+
+
+def seen_lights(frame: Session, lights: str) -> list[int]:
+    """The lights that psi is of: the one that is ``asked`` for, or else all."""
+    return [frame.lights.index] if lights == "asked" else list(range(len(frame.lights.lights)))
+
+
+def light_turns(frame: Session, seen: Sequence[int], lights: str) -> list[LightTurn]:
+    """Whose maps a frame draws for a psi of these lights: one that is ``drawn``, or of each, the brightest first."""
+    held = [frame.lights.lights[i] for i in seen]
+    if len(held) == 1:
+        return [LightTurn(held[0], 1.0, "centre")]
+    weights = light_weights(held)
+    if lights == "drawn":
+        return [LightTurn(held[drawn_light(weights, frame.count)], 1.0, "centre")]
+    worth = 1.0 / float((weights**2).sum())
+    order = [int(i) for i in np.argsort(-weights, kind="stable")]
+    order = [i for i in order if weights[i] > 0.0 or not frame.leave_out(Lights.BLACK_LIGHT)]
+    return [LightTurn(held[i], float(weights[i]) * worth, i) for i in order]
+
+
+def light_window(frame: Session, seen: Sequence[int], then: int, ageing: str, factor: float, reach: float) -> float:
+    """``ageing_window`` since frame ``then``, in frames: as the one of these lights that has gone furthest wants it."""
+    moved = max(displacement(frame.lights.lights[i], frame.lights.at(then, i)) for i in seen)
+    return ageing_window(moved, ageing, factor, reach)
+
+
 @wp.kernel
 def join_light(
     first: int,
     gbuffer: GBuffer,
     light_map: LightMap,
     footprint: LightFootprint,
-    settings: UpdateSettings,
-    is_last: int,
+    rules: UpdateRules,
+    light: SampledLight,
     texels_out: wp.array2d(dtype=Any),
     psi_depth_out: wp.array2d(dtype=wp.vec2),
     error_out: wp.array2d(dtype=float),
@@ -83,8 +127,8 @@ def join_light(
         gbuffer: Receivers, (H, W).
         light_map: Depths from this light's sample of the frame.
         footprint: The light in that map.
-        settings: As for ``update_shadow_buffer``; its weight and light size are this light's.
-        is_last: 1 for the last light of the frame.
+        rules: As for ``update_shadow_buffer``.
+        light: Whose sample it is.
         texels_out: This frame's texels, in and out.
         psi_depth_out: Hidden share and linear eye depth, out.
         error_out: Its standard error, out.
@@ -95,29 +139,29 @@ def join_light(
     if (gbuffer.flags[y, x] & RECEIVES) != 0:
         position_ws = gbuffer.position_ws[y, x]
         record = read_record(texels_out, y, x, gbuffer.view.far)
-        test = shadow_test(gbuffer, y, x, light_map, settings.bias)
+        test = shadow_test(gbuffer, y, x, light_map, rules.bias)
         if test.blocker_rise > 0.0:
-            known = wp.where(settings.counts_tests != 0, record.n, record.rho) + settings.first_blockers
+            known = wp.where(rules.mean.counts_tests != 0, record.n, record.rho) + rules.mean.first_blockers
             record.blocker_rise = refine_blocker(record.blocker_rise, test.blocker_rise, known)
-        sums = add_test(record.rho, record.n, test.tau, settings.weight, settings.storage.limit)
+        sums = add_test(record.rho, record.n, test.tau, light.weight, rules.counting.limit)
         record.rho = sums[0]
         record.n = sums[1]
         psi = hidden_share(record.rho, record.n)
         error = standard_error(psi, record.n)
         half_width = float(0.0)
-        is_uncertain = record.n < settings.least_samples or error > settings.error_threshold
-        if settings.smooths != 0 and is_uncertain and record.blocker_rise > 0.0:
+        is_uncertain = record.n < rules.smoothing.least_samples or error > rules.smoothing.error_threshold
+        if rules.smoothing.asks != 0 and is_uncertain and record.blocker_rise > 0.0:
             depth = locate(light_map, position_ws)[2]
             ratio = penumbra_ratio(footprint.is_point, depth, depth * (1.0 - record.blocker_rise))
-            own = settings.half_widths * settings.light_size * ratio * pixels_per_length(gbuffer.view, record.depth)
-            if settings.narrows != 0:
+            own = rules.smoothing.half_widths * light.size * ratio * pixels_per_length(gbuffer.view, record.depth)
+            if rules.smoothing.narrows != 0:
                 own = own * wp.min(1.0, error / FULL_WIDTH_ERROR)
             widest = wp.max(wp.abs(half_width_out[y, x]), own)
             half_width = wp.where(half_width_out[y, x] < 0.0, -widest, widest)
-        if settings.has_movers != 0:
+        if rules.movers.tagged != 0:
             if test.moves != 0:
                 record.of_mover = 1
-            if is_last != 0 and record.of_mover != 0 and settings.movers == DISOCCLUDE:
+            if light.is_last != 0 and record.of_mover != 0 and rules.movers.treatment == DISOCCLUDE:
                 depth_vs = record.depth
                 record = ShadowRecord()
                 record.depth = depth_vs

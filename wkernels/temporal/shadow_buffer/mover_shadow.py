@@ -14,12 +14,11 @@ and 0.004 on ``moving_blocker_walkthrough``, that of the maximum 0.023 and 0.008
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, runs_per_row, uses_lanes
+from wkernels.device.lanes import LANES, Floats
+from wkernels.device.twin import Twin
 from wkernels.filters.penumbra import (
     LightFootprint,
     pcss_visibility,
@@ -39,6 +38,7 @@ from wkernels.light_maps.light_map import Bias, LightMap
 from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.light_maps.receivers import receiver_of_pixel
 from wkernels.raster.gbuffer import GBuffer
+from wkernels.temporal.shadow_buffer.start import UNROTATED
 from wkernels.workspace.left_out import Because, Omission
 
 
@@ -49,22 +49,6 @@ class MoverMap(Omission):
 
 
 OVERLAPS = {"product": 0, "max": 1}
-UNROTATED = wp.constant(wp.mat22(1.0, 0.0, 0.0, 1.0))
-
-
-class MoverParams(Protocol):
-    """Parameters that are read."""
-
-    resolution: int
-    mover_map: str
-    mover_taps: int
-    mover_overlap: str
-
-    @property
-    def device_bias(self) -> Bias: ...
-
-    @property
-    def cull(self) -> int: ...
 
 
 @wp.func
@@ -85,7 +69,6 @@ def hide_behind_movers(
     gbuffer: GBuffer,
     light_map: LightMap,
     footprint: LightFootprint,
-    half_axes: wp.array(dtype=float),
     bias: Bias,
     taps: wp.array(dtype=wp.vec2),
     regions: wp.array(dtype=wp.vec4),
@@ -100,7 +83,6 @@ def hide_behind_movers(
         gbuffer: Receivers, (H, W).
         light_map: Depths of moving casters from the light's centre.
         footprint: The light in that map.
-        half_axes: Not of use here.
         bias: Of the comparisons.
         taps: Of search and filter.
         regions: (layers,) columns and rows between which movers lie: least x, least y, largest x, largest y, texels.
@@ -182,10 +164,8 @@ def hide_behind_movers_lanes(
                 error_out[y, x0 + k] = join_error(error_out[y, x0 + k], visible, found[k], overlap)
 
 
-def has_own_map(frame: Session, p: MoverParams) -> bool:
-    """Whether movers are kept out of the light samples' maps, and have one of their own."""
-    if p.mover_map == "none":
-        return False
+def needs_own_map(frame: Session) -> bool:
+    """Whether there are movers to keep out of the light samples' maps, or nothing may be left out."""
     moves = frame.geometry.still_triangles < frame.geometry.caster_triangles
     return moves or not frame.leave_out(MoverMap.NO_MOVERS)
 
@@ -209,30 +189,47 @@ def mover_regions(frame: Session, light_map: LightMap) -> np.ndarray:
     return np.clip(out, -1.0, size)
 
 
+def _in_lanes(gbuffer: GBuffer, light_map: LightMap, footprint: LightFootprint, *others: object) -> list:
+    return [lane_views(gbuffer, light_map), light_map, footprint, flat_half_axes(footprint), *others]
+
+
+HIDE_BEHIND_MOVERS = Twin(hide_behind_movers, hide_behind_movers_lanes, inputs=_in_lanes, tolerance=1e-5, flips=1e-3)
+
+
 def add_mover_shadows(
-    frame: Session, gbuffer: GBuffer, p: MoverParams, visibility_out: wp.array, error_out: wp.array
+    frame: Session,
+    gbuffer: GBuffer,
+    visibility_out: wp.array,
+    error_out: wp.array,
+    *,
+    resolution: int,
+    cull: int,
+    bias: Bias,
+    taps: int,
+    overlap: str,
 ) -> None:
     """Draws the movers' map and takes what they hide from the visibility past still casters.
 
     Args:
         frame: The session.
         gbuffer: The receivers, (H, W).
-        p: Parameters.
         visibility_out: float32 (H, W), in and out.
         error_out: Its standard error, in and out.
+        resolution, cull, bias: Of the map and its comparisons.
+        taps: Of search and filter.
+        overlap: A key of ``OVERLAPS``.
     """
-    centre = frame.light.centre
-    light_map = frame.light_map(p.resolution, centre, slot="movers", cull=p.cull, casters="moving")
+    light_map = frame.light_map(resolution, frame.light.centre, slot="movers", cull=cull, caster_set="moving")
     footprint = pull_footprint(frame, light_map)
     with frame.timed("shadows of movers"):
         regions = wp.array(mover_regions(frame, light_map.map).astype(np.float32), dtype=wp.vec4, device=frame.device)
-        inputs = [p.device_bias, pull_taps(frame, "poisson", p.mover_taps), regions, OVERLAPS[p.mover_overlap]]
-        height, width = visibility_out.shape
-        if uses_lanes(frame.device):
-            maps = [lane_views(gbuffer, light_map.map), light_map.map, footprint, flat_half_axes(footprint)]
-            kernel, cells = hide_behind_movers_lanes, (height, runs_per_row(width))
-        else:
-            unused = frame.buffer("no half-axes", (1,), wp.float32)
-            maps = [gbuffer, light_map.map, footprint, unused]
-            kernel, cells = hide_behind_movers, (height, width)
-        frame.launch(kernel, cells, [*maps, *inputs], [visibility_out, error_out])
+        inputs = [
+            gbuffer,
+            light_map.map,
+            footprint,
+            bias,
+            pull_taps(frame, "poisson", taps),
+            regions,
+            OVERLAPS[overlap],
+        ]
+        frame.launch(HIDE_BEHIND_MOVERS, visibility_out.shape, inputs, [visibility_out, error_out])

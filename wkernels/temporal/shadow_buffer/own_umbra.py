@@ -9,23 +9,24 @@ import numpy as np
 import warp as wp
 
 from wkernels.device.lanes import LANES, Ints
-from wkernels.frame.session import Session
+from wkernels.light_maps.point_lanes import PointRun
 from wkernels.light_maps.receiver_lanes import LaneViews
 from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
 from wkernels.scene.geometry import CASTS
-from wkernels.temporal.history_lanes import PointRun
+from wkernels.scene.lights import Light
+from wkernels.workspace.workspace import Workspace
 
 
-def pull_light_corners(frame: Session) -> wp.array:
+def pull_light_corners(work: Workspace, light: Light) -> wp.array:
     """Corners of a convex body that holds the whole light, vec4 (n,), homogeneous, rebased world."""
-    hull = frame.light.hull.astype(np.float32)
+    hull = light.hull.astype(np.float32)
 
     def build(old: wp.array | None) -> wp.array:
-        out = old or wp.empty(len(hull), dtype=wp.vec4, device=frame.device)
+        out = old or wp.empty(len(hull), dtype=wp.vec4, device=work.device)
         out.assign(hull)
         return out
 
-    corners: wp.array = frame.product("light hull", "light corners", hull.tobytes(), build)
+    corners: wp.array = work.product("light hull", "light corners", hull.tobytes(), build)
     return corners
 
 

@@ -8,23 +8,21 @@ sign of the eye depth tags a shadow that a moving caster cast (Schwaerzler 2009,
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import warp as wp
 
 from wkernels.light_maps.light_map import Bias, LightMap, Receiver, locate_receiver, stored_depth
 from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
 from wkernels.sampling.estimators import FLOAT16_LIMIT, FLOAT32_LIMIT, UNLIMITED
-from wkernels.scene.views import View, pixel_along_ws, pixel_base_ws
-from wkernels.temporal.reprojection import accept_absolute, is_inside, reproject
+from wkernels.scene.views import View
+from wkernels.temporal.reprojection import depth_on_plane, is_inside, is_same_depth, reproject
 
 BILINEAR, NEAREST, LINEAR = wp.constant(256.0), wp.constant(1.0), wp.constant(0.0)
 """Steps a texel for ``fetch_record``. With the nearest texel history sticks to the screen under an eye that moves by
-less than half a pixel a frame; at 0.3 pixels and 64 frames that makes the error of a penumbra five times larger. None
-at all stands for ``fetch_linear``."""
+less than half a pixel a frame. None at all stands for ``fetch_linear``."""
 
 NO_BLOCKER = wp.constant(-1.0e6)  # blocker depth that stands for none in the published shader, for ``fetch_linear``
-EDGE_ON = wp.constant(1.0e-3)  # a plane seen at a smaller sine of the angle tells nothing about the next pixel's depth
 
 
 @wp.struct
@@ -49,12 +47,16 @@ class ShadowTest:
     receiver: Receiver  # layer -1 where no lookup was needed or possible
 
 
-@wp.struct
-class Storage:
-    """What a texel type can hold."""
+class Storage(NamedTuple):
+    """What a texel type can hold.
 
-    limit: float  # largest n, see ``estimators.add_test``
-    rounding: float  # relative error of a stored depth
+    Attributes:
+        limit: Largest n, see ``estimators.add_test``.
+        rounding: Relative error of a stored depth.
+    """
+
+    limit: float
+    rounding: float
 
 
 TEXEL_TYPES: dict[str, type] = {"float32": wp.vec4, "float16": wp.vec4h}
@@ -63,12 +65,8 @@ TEXEL_TYPES: dict[str, type] = {"float32": wp.vec4, "float16": wp.vec4h}
 
 def storage_of(format: str, cap: bool = True) -> Storage:
     """Limits of a format, a key of ``TEXEL_TYPES``; without ``cap`` n grows until the format sticks, as published."""
-    out = Storage()
-    half = format == "float16"
-    out.limit, out.rounding = (FLOAT16_LIMIT, 2.0**-11) if half else (FLOAT32_LIMIT, 2.0**-24)
-    if not cap:
-        out.limit = UNLIMITED
-    return out
+    limit, rounding = (FLOAT16_LIMIT, 2.0**-11) if format == "float16" else (FLOAT32_LIMIT, 2.0**-24)
+    return Storage(limit if cap else UNLIMITED, rounding)
 
 
 @wp.func
@@ -125,19 +123,6 @@ def shadow_test(gbuffer: GBuffer, y: int, x: int, light_map: LightMap, bias: Bia
 
 
 @wp.func
-def depth_on_plane(
-    view: View, x_px: float, y_px: float, position_ws: wp.vec3, normal_ws: wp.vec3, otherwise: float
-) -> float:
-    """Linear depth at a screen position of the plane through a point; ``otherwise`` where it is seen edge-on."""
-    along = pixel_along_ws(view, x_px, y_px)
-    slope = wp.dot(normal_ws, along)
-    result = otherwise
-    if wp.abs(slope) > EDGE_ON * wp.length(along):
-        result = wp.dot(normal_ws, position_ws - pixel_base_ws(view, x_px, y_px)) / slope
-    return result
-
-
-@wp.func
 def held_record(
     previous: wp.array2d(dtype=Any),
     view: View,
@@ -158,7 +143,7 @@ def held_record(
     if x >= 0 and y >= 0 and x < view.width and y < view.height:
         held = read_record(previous, y, x, view.far)
         expected = depth_on_plane(view, float(x) + 0.5, float(y) + 0.5, position_ws, normal_ws, depth)
-        if accept_absolute(expected, held.depth, epsilon + relative * held.depth):
+        if is_same_depth(expected, held.depth, epsilon + relative * held.depth):
             result = held
     return result
 
@@ -270,7 +255,7 @@ def fetch_linear(
         result.of_mover = wp.where(depth < 0.0, 1, 0)
         if blocker >= 0.0:
             result.blocker_rise = 1.0 - blocker
-        if not accept_absolute(at[2], wp.abs(depth), epsilon + relative * wp.abs(depth)):
+        if not is_same_depth(at[2], wp.abs(depth), epsilon + relative * wp.abs(depth)):
             result = ShadowRecord()
     return result
 

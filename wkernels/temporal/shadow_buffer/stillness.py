@@ -6,7 +6,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 
 from wkernels.frame.session import Session
-from wkernels.light_maps.drawing import views_stamp
+from wkernels.light_maps.map_look import views_stamp
 
 
 @dataclass
@@ -25,8 +25,7 @@ def count_still_frames(frame: Session) -> int:
         out = old or Stillness()
         if out.counted == frame.count:  # the same frame once more
             return out
-        lights = tuple((light.hull.tobytes(), light.centre.tobytes()) for light in frame.lights.lights)
-        stamp = (frame.geometry.version, views_stamp([frame.eye()]), lights)
+        stamp = (frame.geometry.version, views_stamp([frame.eye()]), *frame.lights.lights)
         out.frames = out.frames + 1 if stamp == out.stamp else 0
         out.stamp, out.counted = stamp, frame.count
         return out

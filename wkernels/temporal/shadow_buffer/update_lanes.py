@@ -1,4 +1,4 @@
-"""``shadow_buffer_update`` for a run of pixels at a time; see ``receiver_lanes.py`` for how such code is written.
+"""``update`` for a run of pixels at a time; ``docs/lanes.md`` says how such code is written.
 
 The lanes do what nearly every pixel needs: the hard test, the history's four texels each with its depth test, the
 sums, the error and the filter's width; and in runs with new pixels their start. What few pixels need is left to the
@@ -9,33 +9,26 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.device.lanes import LANES, Floats, Ints
+from wkernels.device.lanes import LANES, Floats, Ints, flat_floats, runs_of
+from wkernels.device.twin import Twin
 from wkernels.filters.penumbra import NEAREST_BLOCKER, LightFootprint
-from wkernels.filters.penumbra_lanes import (
-    filter_behind_blockers_run,
-    search_blockers_run,
-    search_spread_run,
-    texels_per_ratio_run,
-)
-from wkernels.light_maps.comparison_lanes import SpreadRun, first_texels
+from wkernels.filters.penumbra_lanes import flat_half_axes
+from wkernels.light_maps.comparison_lanes import first_texels
 from wkernels.light_maps.layer_lanes import to_layers
 from wkernels.light_maps.light_map import LightMap
-from wkernels.light_maps.receiver_lanes import LaneViews, ReceiverRun, locate_run
-from wkernels.raster.gbuffer import GBuffer
+from wkernels.light_maps.point_lanes import PointRun, points_of_run
+from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
+from wkernels.raster.gbuffer import PADDING, GBuffer
 from wkernels.sampling.estimators import NO_WINDOW
 from wkernels.scene.views import View
-from wkernels.temporal.history_lanes import HistoryRun, PointRun, fetch_run, place_run, points_of_run
 from wkernels.temporal.sample_window import SAME
-from wkernels.temporal.shadow_buffer.kept_views import fetch_kept_run
 from wkernels.temporal.shadow_buffer.own_umbra import own_umbra_run
-from wkernels.temporal.shadow_buffer.update import (
-    DISOCCLUDE,
-    FULL_WIDTH_ERROR,
-    START_PCSS,
-    START_SAMPLE,
-    UpdateSettings,
-    update_pixel,
-)
+from wkernels.temporal.shadow_buffer.recall import recall_run
+from wkernels.temporal.shadow_buffer.record_lanes import HistoryRun
+from wkernels.temporal.shadow_buffer.rules import DISOCCLUDE, SampledLight, UpdateRules
+from wkernels.temporal.shadow_buffer.start import START_PCSS, START_SAMPLE
+from wkernels.temporal.shadow_buffer.start_lanes import start_run
+from wkernels.temporal.shadow_buffer.update import FULL_WIDTH_ERROR, UPDATE_PLAIN, update_pixel
 
 
 @wp.func
@@ -55,55 +48,6 @@ def depth_in_light(light_map: LightMap, points: PointRun):
     return out
 
 
-@wp.struct
-class StartRun:
-    """What a start that searches finds for each lane; of use only in lanes with a receiver."""
-
-    tau: Floats  # hidden share of the light by START_PCSS; else not of use
-    blocker_rise: Floats  # of the mean blocker, 0 without
-    moves: Ints  # taps that a moving caster hides
-
-
-@wp.func
-def start_run(
-    views: LaneViews,
-    light_map: LightMap,
-    footprint: LightFootprint,
-    half_axes: wp.array(dtype=float),
-    receivers: ReceiverRun,
-    starts: Ints,
-    settings: UpdateSettings,
-):
-    """The blocker search of each lane, and with START_PCSS its filter, for the sake of those that start (1)."""
-    plane = receivers.rise
-    axes = SpreadRun()
-    search = SpreadRun()
-    if settings.start == START_PCSS:
-        axes = texels_per_ratio_run(half_axes, receivers, Floats(1.0), Floats(0.0))
-        search = search_spread_run(light_map, footprint, receivers, axes)
-    else:
-        search.xx = Floats(settings.search_radius)
-        search.yy = Floats(settings.search_radius)
-    blockers = search_blockers_run(views, light_map, receivers, search, settings.blocker_taps)
-    hidden = blockers.hidden
-    mean_depth = blockers.depth
-    rise = Floats(0.0)
-    filtered = int(0)
-    for k in range(LANES):
-        found = wp.where(hidden[k] > 0.0, 1, 0)
-        filtered += found * starts[k]
-        own = wp.where(found != 0, plane[k], 1.0)
-        rise[k] = wp.where(found != 0, wp.clamp(1.0 - mean_depth[k] / own, 0.0, 1.0), 0.0)
-    out = StartRun()
-    out.blocker_rise = rise
-    out.moves = blockers.moving
-    if settings.start == START_PCSS:
-        out.tau = Floats(1.0) - filter_behind_blockers_run(
-            views, light_map, footprint, receivers, axes, blockers, filtered, settings.filter_taps, 0
-        )
-    return out
-
-
 @wp.kernel
 def update_shadow_buffer_lanes(
     first: int,
@@ -114,7 +58,8 @@ def update_shadow_buffer_lanes(
     light_map: LightMap,
     footprint: LightFootprint,
     half_axes: wp.array(dtype=float),
-    settings: UpdateSettings,
+    rules: UpdateRules,
+    light: SampledLight,
     previous_view: View,
     previous: wp.array2d(dtype=wp.vec4),
     current_out: wp.array2d(dtype=wp.vec4),
@@ -128,11 +73,11 @@ def update_shadow_buffer_lanes(
     x0 = column * LANES
     held = wp.min(LANES, psi_depth_out.shape[1] - x0)
     points = points_of_run(views, eye_depth, x0, y)
-    own_umbra = own_umbra_run(views, points, x0, y, settings.light_corners)
+    own_umbra = own_umbra_run(views, points, x0, y, rules.light_corners)
     receives = points.receives
     for k in range(LANES):
         receives[k] = receives[k] - own_umbra[k]
-    receivers = locate_run(views, light_map, settings.bias, x0, y)
+    receivers = locate_run(views, light_map, rules.bias, x0, y)
     layers = receivers.layer
     own = receivers.depth
     plane = receivers.rise
@@ -164,24 +109,8 @@ def update_shadow_buffer_lanes(
         wanted[k] = wp.where(moves[k] != 0, 0, receives[k])
 
     history = HistoryRun()
-    if settings.has_history != 0:
-        places = place_run(previous_view, points, wanted, settings.texel_steps)
-        history = fetch_run(
-            flat_previous, previous_view, points, places, settings.depth_epsilon, settings.relative_epsilon
-        )
-        if settings.kept.count > 0:
-            history = fetch_kept_run(
-                settings.kept,
-                gbuffer,
-                x0,
-                y,
-                held,
-                wanted,
-                history,
-                settings.texel_steps,
-                settings.depth_epsilon,
-                settings.relative_epsilon,
-            )
+    if rules.recall.has_history != 0:
+        history = recall_run(flat_previous, previous_view, gbuffer, points, wanted, x0, y, held, rules.recall)
     rho = history.rho
     n = history.n
     rises = history.blocker_rise
@@ -190,14 +119,14 @@ def update_shadow_buffer_lanes(
     on_mover = points.moves
     alone = Ints(0)  # pixels for the plain function
     alone_count = int(0)
-    searches = wp.where(settings.start != START_SAMPLE, 1, 0)
-    follows = wp.where(settings.followed_samples > 0.0, 1, 0)
+    searches = wp.where(rules.start.method != START_SAMPLE, 1, 0)
+    follows = wp.where(rules.recall.followed_samples > 0.0, 1, 0)
     is_new = Ints(0)
     starts = Ints(0)
     starting = int(0)
-    weight = settings.weight
+    weight = light.weight
     # for ``age_sums``, not in an if: that would cost more than it saves
-    room = wp.where(settings.light_window > 0.0, wp.max(settings.light_window - weight, 0.0), NO_WINDOW)
+    room = wp.where(rules.counting.light_window > 0.0, wp.max(rules.counting.light_window - weight, 0.0), NO_WINDOW)
     new_share = weight / (room + weight)
     old_share = 1.0 - new_share
     for k in range(LANES):
@@ -213,12 +142,12 @@ def update_shadow_buffer_lanes(
         starts[k] = wp.where(layers[k] >= 0, is_new[k], 0)
         starting += starts[k]
     if starting > 0:
-        start = start_run(views, light_map, footprint, half_axes, receivers, starts, settings)
+        start = start_run(views, light_map, footprint, half_axes, receivers, starts, rules.start)
         start_tau = start.tau
         start_rise = start.blocker_rise
         start_moves = start.moves
-        estimated = wp.where(settings.start == START_PCSS, 1, 0)
-        tagged_too = settings.has_movers
+        estimated = wp.where(rules.start.method == START_PCSS, 1, 0)
+        tagged_too = rules.movers.tagged
         for k in range(LANES):
             tau[k] = wp.where((starts[k] & estimated) != 0, start_tau[k], tau[k])
             # the last frame's mean blocker is that of sums which are gone, and this test is among the taps
@@ -230,20 +159,19 @@ def update_shadow_buffer_lanes(
     smoothed = int(0)
     psi = Floats(0.0)
     error = Floats(0.0)
-    first_blockers = settings.first_blockers
-    counts_tests = settings.counts_tests
-    worth = settings.effective_share
-    limit = settings.storage.limit
-    estimates = wp.where(settings.start == START_PCSS, 1, 0)
-    start_weight = settings.start_weight
-    smooths = settings.smooths
+    first_blockers = rules.mean.first_blockers
+    counts_tests = rules.mean.counts_tests
+    limit = rules.counting.limit
+    estimates = wp.where(rules.start.method == START_PCSS, 1, 0)
+    start_weight = rules.start.weight
+    smooths = rules.smoothing.asks
     uncertain = Ints(0)
-    largest = settings.window.largest - 1.0
-    agreement = settings.window.agreement
-    least_window = settings.window.least
+    largest = rules.counting.window.largest - 1.0
+    agreement = rules.counting.window.agreement
+    least_window = rules.counting.window.least
     varies = wp.where(agreement > 0.0, SAME, 2.0)  # no variance is larger than 1/4
-    threshold = wp.where(settings.smooths != 0, settings.error_threshold, 2.0)  # no error is larger than 1
-    least_samples = wp.where(settings.smooths != 0, settings.least_samples, 0.0)
+    threshold = wp.where(rules.smoothing.asks != 0, rules.smoothing.error_threshold, 2.0)  # no error is larger than 1
+    least_samples = wp.where(rules.smoothing.asks != 0, rules.smoothing.least_samples, 0.0)
     for k in range(LANES):
         known = wp.where(counts_tests != 0, n[k], rho[k]) + first_blockers
         refined = wp.where(rises[k] > 0.0, (new_rise[k] + rises[k] * known) / (known + 1.0), new_rise[k])
@@ -259,8 +187,8 @@ def update_shadow_buffer_lanes(
         rho[k] = wp.where(estimated != 0, start_weight * tau[k], scale * rho[k] + weight * tau[k])
         n[k] = wp.where(estimated != 0, start_weight, scale * n[k] + weight)
         share = wp.clamp(rho[k] / n[k], 0.0, 1.0)
-        variance = wp.max(share * (1.0 - share), 0.0) / wp.max(n[k] * worth - 1.0, 0.5)
-        deviation = wp.sqrt(wp.where(n[k] * worth > 1.5, variance, 1.0))
+        variance = wp.max(share * (1.0 - share), 0.0) / wp.max(n[k] - 1.0, 0.5)
+        deviation = wp.sqrt(wp.where(n[k] > 1.5, variance, 1.0))
         psi[k] = wp.where(receives[k] != 0, share, float(own_umbra[k]))
         error[k] = wp.where(receives[k] != 0, deviation, 0.0)
         few = wp.where(n[k] < least_samples, receives[k], estimated * smooths)
@@ -276,9 +204,9 @@ def update_shadow_buffer_lanes(
         base_x, base_y, base_z = base[0], base[1], base[2]
         along_x, along_y, along_z = along[0], along[1], along[2]
         is_point = footprint.is_point
-        size = settings.half_widths * settings.light_size
-        narrows = settings.narrows
-        stores_smoothed = settings.stores_smoothed
+        size = rules.smoothing.half_widths * light.size
+        narrows = rules.smoothing.narrows
+        stores_smoothed = rules.start.stores_smoothed
         for k in range(LANES):
             blocker = light_depth[k] * (1.0 - rises[k])
             behind = wp.max(light_depth[k] - blocker, 0.0)
@@ -293,7 +221,7 @@ def update_shadow_buffer_lanes(
             half_width[k] = wp.where(uncertain[k] != 0, turned * pixels * narrow, 0.0)
 
     far = gbuffer.view.far
-    drops = wp.where(settings.movers == DISOCCLUDE, 1, 0)
+    drops = wp.where(rules.movers.treatment == DISOCCLUDE, light.is_last, 0)
     for k in range(held):
         keeps = wp.where((moves[k] & drops) != 0, 0.0, float(receives[k]))
         tag = wp.where(wp.where(keeps > 0.0, moves[k], 0) != 0, -1.0, 1.0)
@@ -311,7 +239,8 @@ def update_shadow_buffer_lanes(
                     gbuffer,
                     light_map,
                     footprint,
-                    settings,
+                    rules,
+                    light,
                     previous_view,
                     previous,
                     current_out,
@@ -319,3 +248,23 @@ def update_shadow_buffer_lanes(
                     error_out,
                     half_width_out,
                 )
+
+
+def _in_lanes(gbuffer: GBuffer, light_map: LightMap, footprint: LightFootprint, *rules: object) -> list:
+    *_, previous = rules
+    views = [lane_views(gbuffer, light_map), runs_of(gbuffer.depth, Floats, PADDING), flat_floats(previous)]
+    return [*views, gbuffer, light_map, footprint, flat_half_axes(footprint), *rules]
+
+
+UPDATE: dict[type, wp.Kernel | Twin] = {
+    **UPDATE_PLAIN,
+    wp.vec4: Twin(
+        UPDATE_PLAIN[wp.vec4],
+        update_shadow_buffer_lanes,
+        inputs=_in_lanes,
+        fits=lambda gbuffer, light_map, footprint, rules, *_: rules.recall.texel_steps > 0.0,
+        tolerance=1e-4,
+        flips=0.01,
+    ),
+}
+"""What updates, by texel type."""

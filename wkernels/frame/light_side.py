@@ -1,4 +1,4 @@
-"""What a technique pulls of one frame: receivers, light depth maps, light samples, rays' structures.
+"""What a technique pulls of the light's side of a frame: depth maps, samples, structures for rays.
 
 A product is built on first request, timed under its own name, and kept until one of its inputs (geometry, camera, light
 sample) changes. What nobody asks for is never built.
@@ -12,14 +12,16 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wkernels.frame.eye_side import EyeSide
 from wkernels.frame.map_keeper import MapKeeper
 from wkernels.frame.near_plane import NearPlane
 from wkernels.light_maps.host_map import HostMap, LightLook
-from wkernels.light_maps.storage import PLAIN_MAP
+from wkernels.light_maps.layered import LayeredMap
+from wkernels.light_maps.many_maps import LightMaps
+from wkernels.light_maps.storage import PLAIN_MAP, MapOptions
 from wkernels.projections.jitter import Jitter, jittered_view
 from wkernels.projections.light_views import fit_scene
-from wkernels.raster import CULL_NONE, Rasteriser
-from wkernels.raster import gbuffer as gb
+from wkernels.raster import CULL_NONE
 from wkernels.rays.caster_tree import CasterTree, CasterTreeBuilder
 from wkernels.rays.light_proofs import LightHull, light_hull
 from wkernels.rays.light_samples import LightSamples
@@ -27,11 +29,8 @@ from wkernels.sampling.point_sets import light_set
 from wkernels.scene.geometry import Bounds, Geometry
 from wkernels.scene.light_motion import FrameLights
 from wkernels.scene.lights import Light
-from wkernels.scene.model import Camera
-from wkernels.scene.views import HostView, eye_view
-from wkernels.workspace.left_out import Because, Omission
+from wkernels.scene.views import HostView
 from wkernels.workspace.products import Product
-from wkernels.workspace.workspace import Workspace
 
 LightViews = Callable[[np.ndarray, Bounds, Bounds, int, HostView], list[HostView]]
 """A projection: light sample (4,), receivers' box, casters' box, map resolution, eye view -> one view per layer.
@@ -42,25 +41,16 @@ It may have three attributes: ``near``, the ``NearPlane`` rule of the eye view t
 """
 
 
-class NothingCasts(Omission):
-    """What a scene without casters saves."""
-
-    MAP = "light depth map and comparisons", Because.NOTHING_CASTS
-    ALL = "all but G-buffer and shading", Because.NOTHING_CASTS
-
-
-class Pulls(Workspace):
-    """What one frame of one technique label offers, under the eye and the light that are set.
+class LightSide(EyeSide):
+    """What one frame of one technique label offers under the light that is set.
 
     Args:
-        geometry: Scene triangles, shared between labels.
-        width, height: Frame size in pixels, at least 1.
+        geometry, width, height: Of ``EyeSide``.
         light_index: Which light of the scene.
         projection: Where light depth maps look; ``scene_views`` unless given.
         **options: Of ``Workspace``.
 
     Attributes:
-        rasteriser: Draws and counts triangles as the eye or a light sees them.
         looks: Where this frame's technique has looked from the light so far, its maps among them.
     """
 
@@ -73,104 +63,22 @@ class Pulls(Workspace):
         projection: LightViews | None,
         **options: Any,
     ) -> None:
-        super().__init__(**options)
-        self.geometry = geometry
-        self.width, self.height = width, height
+        super().__init__(geometry, width, height, **options)
         self.lights = FrameLights(geometry.scene.lights, light_index, geometry.origin_ws)
         self.projection: LightViews = projection or fit_scene
         self.looks: list[LightLook] = []
-        self.rasteriser = Rasteriser(self.device, self.threads)
         self.near_plane = NearPlane(getattr(self.projection, "near", "user"), self, self.widest_gbuffer)
         self._maps = MapKeeper(geometry, self.rasteriser)
-        self._gbuffers: dict[tuple[int, int], gb.GBuffer] = {}  # by margin
-        self._receivers: dict[int, gb.GBuffer] = {}  # by the visibility buffer that was given for them
-        self._camera: Any = None
-        self._eyes: dict[tuple[int, int], HostView] = {}
-
-    def look(self, camera: Camera) -> None:
-        """Puts another camera in the place of the path's, until the next frame begins."""
-        self._camera = camera
-        self._eyes.clear()
 
     def forget_pulls(self) -> None:
-        """Begins a new frame's account of what is asked for; products stay."""
-        self._products.asked.clear()
+        super().forget_pulls()
         self.looks.clear()
-        self._gbuffers.clear()
-        self._receivers.clear()
-
-    @property
-    def pulled(self) -> frozenset[Product]:
-        """What of all that a frame offers this frame's technique has asked for so far."""
-        return frozenset(product for product in Product if product.value in self._products.asked)
 
     @property
     def shown(self) -> LightLook | None:
         """What the frame's results tell of its maps: the last look from the light's centre, else the first look."""
         central = [look for look in self.looks if look.from_centre]
         return central[-1] if central else self.looks[0] if self.looks else None
-
-    def receivers_of(self, visibility: object) -> gb.GBuffer:
-        """The G-buffer that a ``visibility_buffer`` was given for; the frame's own for anything else."""
-        return self._receivers.get(getattr(visibility, "ptr", None) or 0) or self.gbuffer()
-
-    def visibility_buffer(self, gbuffer: gb.GBuffer) -> wp.array:
-        """The float32 (H, W) array, of a G-buffer's size, that a technique fills and returns."""
-        out = self.buffer("visibility", gbuffer.depth.shape, wp.float32)
-        self._receivers[out.ptr] = gbuffer
-        return out
-
-    def nothing_casts(self, visibility_out: wp.array) -> bool:
-        """Fills ``visibility_out`` with 1 and returns True where the scene has no casters (and skips are on)."""
-        if self.geometry.caster_triangles or not self.leave_out(NothingCasts.MAP):
-            return False
-        visibility_out.fill_(1.0)
-        return True
-
-    def lit_without_casters(self, standard_error: float | None = None) -> wp.array | None:
-        """Visibility 1 in the frame's own G-buffer where the scene has no casters (and skips are on), else None.
-
-        To be asked for before anything else is built, such as an overscanned G-buffer. ``standard_error`` is what a
-        method that samples the light reports then.
-        """
-        if self.geometry.caster_triangles or not self.leave_out(NothingCasts.ALL):
-            return None
-        visibility = self.visibility_buffer(self.gbuffer())
-        visibility.fill_(1.0)
-        if standard_error is not None:
-            self.standard_error = self.buffer("standard error", visibility.shape, wp.float32)
-            self.standard_error.fill_(standard_error)
-        return visibility
-
-    def eye(self, margin: tuple[int, int] = (0, 0)) -> HostView:
-        """The eye's view of this frame, with ``margin`` extra pixels at each side."""
-        if margin not in self._eyes:
-            self._eyes[margin] = eye_view(self._camera, self.width, self.height, self.geometry.origin_ws, margin)
-        return self._eyes[margin]
-
-    def margin(self, overscan: float) -> tuple[int, int]:
-        """Extra pixels at each side for an overscan of, say, 0.05 of the frame's size."""
-        return int(np.ceil(0.5 * overscan * self.width)), int(np.ceil(0.5 * overscan * self.height))
-
-    def gbuffer(self, overscan: float = 0.0) -> gb.GBuffer:
-        """What the eye sees, ``overscan`` (share of width and height) larger than the frame."""
-        margin = self.margin(overscan)
-        view = self.eye(margin)
-
-        def build(old: gb.GBuffer | None) -> gb.GBuffer:
-            out = old or gb.allocate_gbuffer(view.width, view.height, self.device)
-            gb.fill_gbuffer(out, self.geometry, view, self.rasteriser)
-            return out
-
-        inputs = (self.geometry.version, self._camera.key)
-        out: gb.GBuffer = self.product(Product.G_BUFFER.value, ("g-buffer", margin), inputs, build)
-        self._gbuffers[margin] = out
-        return out
-
-    def widest_gbuffer(self) -> gb.GBuffer:
-        """The largest G-buffer that this frame has asked for so far, or else the frame's own."""
-        asked = list(self._gbuffers.values()) or [self.gbuffer()]
-        return max(asked, key=lambda gbuffer: gbuffer.depth.size)
 
     def light_samples(
         self, count: int, kind: str = "halton", start: int = 0, light: Light | None = None
@@ -190,10 +98,10 @@ class Pulls(Workspace):
 
         # the set of a temporal method moves on every frame: one slot per size, so that nothing piles up
         inputs = (start, self.seed, source)
-        samples: LightSamples = self.product(Product.LIGHT_SAMPLES.value, ("samples", kind, count), inputs, build)
+        samples: LightSamples = self.product(Product.LIGHT_SAMPLES, ("samples", kind, count), inputs, build)
         return samples
 
-    def casters(self) -> wp.uint64:
+    def caster_mesh(self) -> wp.uint64:
         """Id of the casters' triangles for ray queries; 0 where nothing casts."""
         if self.geometry.caster_triangles == 0:
             return wp.uint64(0)
@@ -204,7 +112,7 @@ class Pulls(Workspace):
             old.refit()
             return old
 
-        mesh: wp.Mesh = self.product(Product.RAY_STRUCTURE.value, "casters", self.geometry.version, build)
+        mesh: wp.Mesh = self.product(Product.RAY_STRUCTURE, "casters", self.geometry.version, build)
         return mesh.id
 
     def caster_tree(self) -> CasterTree:
@@ -219,8 +127,7 @@ class Pulls(Workspace):
             old.refit()
             return old
 
-        name = Product.CASTER_TREE.value
-        builder: CasterTreeBuilder = self.product(name, name, self.geometry.version, build)
+        builder: CasterTreeBuilder = self.product(Product.CASTER_TREE, "caster tree", self.geometry.version, build)
         return builder.tree
 
     @property
@@ -263,7 +170,7 @@ class Pulls(Workspace):
         cull: int = CULL_NONE,
         tag_moving_casters: bool = False,
         jitter: Jitter | None = None,
-        casters: str = "all",
+        caster_set: str = "all",
         light: Light | None = None,
     ) -> HostMap:
         """A light's linear depth map, seen from one of its samples.
@@ -275,23 +182,16 @@ class Pulls(Workspace):
             cull: Which faces are left out, as seen from the light.
             tag_moving_casters: Negative depth where the nearest caster moves.
             jitter: Shift and turn of whatever views the projection gives; what changes it draws the map anew.
-            casters: Which of them, a key of ``Geometry.caster_sets``; the views are those of all.
+            caster_set: Which casters, a key of ``Geometry.caster_sets``; the views are those of all.
             light: Whose sample it is; the light that is asked for unless given.
         """
         source = light or self.light
         sample = source.centre if light_ws is None else light_ws
-        receivers, box = self.geometry.bounds(receivers=True), self.geometry.bounds(casters=True)
-        if receivers.empty:
-            receivers = box
-        if receivers.empty:  # no meshes at all: any view will do
-            receivers = Bounds()
-            receivers.add(np.zeros((1, 3)))
-        views = self.look_from_light(sample, receivers, box, resolution)
+        views = self._look(sample, resolution)
         if jitter is not None:
             views = [jittered_view(view, jitter) for view in views]
-        options = getattr(self.projection, "map_options", PLAIN_MAP)
         drawn, empty = self._maps.pull(
-            self, views, sample, slot, options, cull=cull, tagged=tag_moving_casters, casters=casters
+            self, views, sample, slot, self._map_options, cull=cull, tagged=tag_moving_casters, caster_set=caster_set
         )
         out = HostMap(
             map=drawn,
@@ -304,3 +204,65 @@ class Pulls(Workspace):
         )
         self.looks.append(out)
         return out
+
+    def light_maps(
+        self, resolution: int, light_ws: np.ndarray, *, slot: Hashable = "samples", cull: int = CULL_NONE
+    ) -> LightMaps:
+        """Maps of many samples of a light side by side, so that one kernel can ask all of them (``many_maps.map_of``).
+
+        Each has the bits that ``light_map`` has of its sample. All of them count as one product: one sample that moves
+        draws them all.
+
+        Args:
+            resolution: Texels per side of each.
+            light_ws: Light samples (n, 4), rebased world, n at least 1.
+            slot: Sets that must live side by side need different slots.
+            cull: Which faces are left out, as seen from the light.
+
+        Raises:
+            InputError: More texels than one array holds.
+        """
+        views = [self._look(sample, resolution) for sample in light_ws]
+        out = self._maps.pull_many(self, views, light_ws, slot, self._map_options, cull)
+        self.looks.append(LightLook(views=tuple(views[0]), light_ws=light_ws[0], from_centre=False))
+        return out
+
+    def layered_map(
+        self,
+        resolution: int,
+        peels: int,
+        light_ws: np.ndarray | None = None,
+        *,
+        slot: Hashable = "centre",
+        cull: int = CULL_NONE,
+        faces: bool = False,
+    ) -> LayeredMap:
+        """A light's depth map with the ``peels`` nearest depths of each texel; its ``map`` is that of ``light_map``.
+
+        Args:
+            resolution: Texels per side.
+            peels: At least 1.
+            light_ws: Light sample (4,), rebased world; the light's centre unless given.
+            slot: Maps that must live side by side need different slots.
+            cull: Which faces are left out, as seen from the light.
+            faces: Whether it is noted which side each surface turns to the light.
+        """
+        sample = self.light.centre if light_ws is None else light_ws
+        views = self._look(sample, resolution)
+        out = self._maps.pull_layered(self, views, sample, peels, slot, self._map_options, cull=cull, faces=faces)
+        self.looks.append(LightLook(views=tuple(views), light_ws=sample, from_centre=light_ws is None))
+        return out
+
+    @property
+    def _map_options(self) -> MapOptions:
+        return getattr(self.projection, "map_options", PLAIN_MAP)
+
+    def _look(self, light_ws: np.ndarray, resolution: int) -> list[HostView]:
+        """The views of a map from a light sample, of all that receives; of all that casts where nothing does."""
+        receivers, casters = self.geometry.bounds(receivers=True), self.geometry.bounds(casters=True)
+        if receivers.empty:
+            receivers = casters
+        if receivers.empty:  # no meshes at all: any view will do
+            receivers = Bounds()
+            receivers.add(np.zeros((1, 3)))
+        return self.look_from_light(light_ws, receivers, casters, resolution)

@@ -3,101 +3,31 @@
 A buffer is put aside once the eye has left a share of what it holds: by a cut at once, or step by step by a turn or a
 flight. Points that are new to the last frame's buffer are looked for in those, and what knows most of a point is taken.
 A kept buffer takes 16 bytes a pixel. Nothing is read of moving casters' shadows, nor anything once the light has moved.
-
-Along ``overlap_cuts`` (A, cut to B, A, B, A) at 320 x 180, RMSE against 128 rays in the first frame back, with the last
-frame's buffer alone and with one kept: tc_soft_paper 0.095 and 0.052 (0.052 before that cut away from A), then in B
-0.130 and 0.064, in A 0.100 and 0.054; tc_soft_thesis 0.106 and 0.054 (0.058), 0.152 and 0.069, 0.115 and 0.058. More
-than one kept gains up to 4 % there: it has two views only. A frame takes 2 to 4 % longer, 0.5 to 0.8 of 21 ms on one
-thread, and the first one back 4 to 14 %.
+docs/parts.md has what they are worth.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from wkernels.device.lanes import Ints
+from wkernels.device.structs import filled
 from wkernels.frame.history import History
-from wkernels.frame.session import Session
-from wkernels.raster.gbuffer import GBuffer
-from wkernels.scene.geometry import MOVES
 from wkernels.scene.lights import Light
 from wkernels.scene.views import View, pixel_along_ws, pixel_base_ws
-from wkernels.temporal.history_lanes import HistoryRun
-from wkernels.temporal.reprojection import accept_absolute, is_inside, reproject
-from wkernels.temporal.shadow_buffer.record import TEXEL_TYPES, ShadowRecord, fetch_record, read_record
+from wkernels.temporal.reprojection import is_inside, is_same_depth, reproject
+from wkernels.temporal.shadow_buffer.earlier_buffers import EarlierBuffers
+from wkernels.temporal.shadow_buffer.record import TEXEL_TYPES, read_record
+from wkernels.workspace.workspace import Workspace
 
 PROBES = (18, 32)  # rows and columns of points by which overlaps are measured
 REDUNDANT = 0.75  # share of a kept buffer's points that another view sees, from which on one of both is enough
 SAME_DEPTH = wp.constant(0.02)  # share of the depth within which a probe is taken for seen: it is a matter of shares
 WELL_KNOWN = 64.0  # tests behind a point from which on more are no reason to keep it
-
-
-@wp.struct
-class KeptViews:
-    """Buffers that were put aside, on the device."""
-
-    count: int
-    texels: wp.array3d(dtype=wp.vec4)  # (slots, H, W)
-    views: wp.array(dtype=View)  # (slots,)
-
-
-@wp.func
-def fetch_kept(
-    kept: KeptViews, position_ws: wp.vec3, normal_ws: wp.vec3, epsilon: float, relative: float, steps: float
-) -> ShadowRecord:
-    """``fetch_record`` of the kept buffer that knows most of a point; n = 0 where none does."""
-    result = ShadowRecord()
-    for i in range(kept.count):
-        held = fetch_record(kept.texels[i], kept.views[i], position_ws, normal_ws, epsilon, relative, steps)
-        if held.n > result.n and held.of_mover == 0:
-            result = held
-    return result
-
-
-@wp.func
-def fetch_kept_run(
-    kept: KeptViews,
-    gbuffer: GBuffer,
-    x0: int,
-    y: int,
-    held: int,
-    wanted: Ints,
-    history: HistoryRun,
-    steps: float,
-    epsilon: float,
-    relative: float,
-):
-    """A run's history, with ``fetch_kept`` in those wanted lanes (1) that the last frame's buffer knows nothing of.
-
-    One pixel at a time: few frames have many such pixels, and each finds its own texels.
-    """
-    rho = history.rho
-    n = history.n
-    rise = history.blocker_rise
-    spread = history.spread
-    of_mover = history.of_mover
-    for k in range(held):
-        if wanted[k] != 0 and n[k] <= 0.0 and of_mover[k] == 0 and (gbuffer.flags[y, x0 + k] & MOVES) == 0:
-            record = fetch_kept(
-                kept, gbuffer.position_ws[y, x0 + k], gbuffer.normal_ws[y, x0 + k], epsilon, relative, steps
-            )
-            if record.n > 0.0:
-                rho[k] = record.rho
-                n[k] = record.n
-                rise[k] = record.blocker_rise
-                spread[k] = record.spread
-    out = HistoryRun()
-    out.rho = rho
-    out.n = n
-    out.blocker_rise = rise
-    out.of_mover = of_mover
-    out.spread = spread
-    return out
 
 
 @wp.kernel
@@ -164,7 +94,7 @@ def see_points(
         at = reproject(view, wp.vec3(point[0], point[1], point[2]))
         if is_inside(view, at[0], at[1]):
             held = read_record(texels, int(at[1]), int(at[0]), view.far)
-            if accept_absolute(at[2], held.depth, SAME_DEPTH * held.depth):
+            if is_same_depth(at[2], held.depth, SAME_DEPTH * held.depth):
                 seen = 1
     seen_out[line, column] = seen
 
@@ -172,10 +102,10 @@ def see_points(
 SEE = {texel: wp.overload(see_points, {"texels": wp.array2d(dtype=texel)}) for texel in TEXEL_TYPES.values()}
 
 
-def seen_share(frame: Session, points: wp.array, texels: wp.array, view: View) -> float:
+def seen_share(work: Workspace, points: wp.array, texels: wp.array, view: View) -> float:
     """Share of ``probe_points`` that the buffer ``texels`` of ``view`` shows; 1 of none."""
-    seen = frame.buffer("seen probes", points.shape, wp.int32)
-    frame.launch(SEE[texels.dtype], points.shape, [points, texels, view], [seen])
+    seen = work.buffer("seen probes", points.shape, wp.int32)
+    work.launch(SEE[texels.dtype], points.shape, [points, texels, view], [seen])
     known = seen.numpy()[seen.numpy() >= 0]
     return float(known.mean()) if known.size else 1.0
 
@@ -201,7 +131,7 @@ class PutAside:
 
 
 @dataclass
-class ViewShelf:
+class BufferShelf:
     """What is kept from frame to frame.
 
     Attributes:
@@ -215,11 +145,11 @@ class ViewShelf:
         decided: Count of the frame that decided last.
     """
 
-    on_device: KeptViews = field(default_factory=KeptViews)
+    on_device: EarlierBuffers = field(default_factory=EarlierBuffers)
     views: list[View] = field(default_factory=list)
     points: list[wp.array] = field(default_factory=list)
     anchor: wp.array | None = None
-    lights: Hashable = None
+    lights: tuple[Light, ...] = ()
     leaving: PutAside | None = None
     decided: int = -1
 
@@ -241,39 +171,39 @@ class ViewShelf:
         return slot if knowledge >= known[slot] else None
 
 
-def pull_view_shelf(frame: Session, lights: Sequence[Light]) -> ViewShelf:
+def pull_shelf(work: Workspace, lights: Sequence[Light]) -> BufferShelf:
     """What earlier frames have put aside; nothing once one of the lights that its sums are of has changed."""
-    sums_of = tuple((light.hull.tobytes(), light.centre.tobytes(), tuple(light.radiance)) for light in lights)
+    sums_of = tuple(lights)  # one that moves becomes another
 
-    def build(old: ViewShelf | None) -> ViewShelf:
-        return old if old is not None and old.lights == sums_of else ViewShelf(lights=sums_of)
+    def build(old: BufferShelf | None) -> BufferShelf:
+        return old if old is not None and old.lights == sums_of else BufferShelf(lights=sums_of)
 
-    shelf: ViewShelf = frame.product("kept views", "kept views", (frame.count, sums_of), build)
+    shelf: BufferShelf = work.product("kept views", "kept views", (work.count, sums_of), build)
     return shelf
 
 
-def fill_shelf(frame: Session, shelf: ViewShelf, history: History) -> KeptViews:
+def fill_shelf(work: Workspace, shelf: BufferShelf, history: History) -> EarlierBuffers:
     """Puts aside what the last frame decided to, before this one writes to ``history.current``, where it still lies."""
     leaving, texels = shelf.leaving, history.current
-    if leaving is not None and shelf.decided == frame.count - 1:
-        kept = frame.buffer("kept views", (leaving.slots, *texels.shape), wp.vec4)
-        frame.launch(PUT_ASIDE[texels.dtype], texels.shape, [texels, leaving.slot], [kept])
+    if leaving is not None and shelf.decided == work.count - 1:
+        kept = work.buffer("kept views", (leaving.slots, *texels.shape), wp.vec4)
+        work.launch(PUT_ASIDE[texels.dtype], texels.shape, [texels, leaving.slot], [kept])
         shelf.views[leaving.slot : leaving.slot + 1] = [leaving.view]
         shelf.points[leaving.slot : leaving.slot + 1] = [leaving.points]
-        shelf.on_device.count, shelf.on_device.texels = len(shelf.views), kept
-        shelf.on_device.views = wp.array(shelf.views, dtype=View, device=frame.device)
-    if shelf.decided < frame.count:
+        views = wp.array(shelf.views, dtype=View, device=work.device)
+        shelf.on_device = filled(EarlierBuffers, count=len(shelf.views), texels=kept, views=views)
+    if shelf.decided < work.count:
         shelf.leaving = None
     return shelf.on_device
 
 
-def keep_view(frame: Session, shelf: ViewShelf, history: History, view: View, slots: int, overlap: float) -> None:
+def keep_buffer(work: Workspace, shelf: BufferShelf, history: History, view: View, slots: int, overlap: float) -> None:
     """Has the last frame's buffer put aside if this frame's, which must be written, shows too little of it.
 
     Reads some hundred numbers back from the device.
 
     Args:
-        frame: Being rendered.
+        work: The frame that is rendered.
         shelf: Of the same frame.
         history: Its shadow buffer, a key of ``TEXEL_TYPES``.
         view: Of ``history.current``.
@@ -281,19 +211,19 @@ def keep_view(frame: Session, shelf: ViewShelf, history: History, view: View, sl
         overlap: Share of what was seen, by the last frame or since a buffer was put aside last, below which it is.
     """
     previous, before = history.previous, history.previous_view
-    if not history.valid or before is None or shelf.decided == frame.count:
+    if not history.valid or before is None or shelf.decided == work.count:
         return
-    shelf.decided = frame.count
-    points = frame.buffer("probes of a view", PROBES, wp.vec4)
-    frame.launch(PROBE[previous.dtype], PROBES, [previous, before], [points])
+    shelf.decided = work.count
+    points = work.buffer("probes of a view", PROBES, wp.vec4)
+    work.launch(PROBE[previous.dtype], PROBES, [previous, before], [points])
     if shelf.anchor is None:
         shelf.anchor = wp.clone(points)
-    seen = [seen_share(frame, probes, history.current, view) for probes in (points, shelf.anchor)]
+    seen = [seen_share(work, probes, history.current, view) for probes in (points, shelf.anchor)]
     if min(seen) >= overlap:
         return
     shelf.anchor = None
-    overlaps = [seen_share(frame, probes, previous, before) for probes in shelf.points]
-    taken_over = [seen_share(frame, probes, history.current, view) for probes in shelf.points]
+    overlaps = [seen_share(work, probes, previous, before) for probes in shelf.points]
+    taken_over = [seen_share(work, probes, history.current, view) for probes in shelf.points]
     slot = shelf.choose(_knowledge(points), overlaps, taken_over, slots)
     if slot is not None:
         shelf.leaving = PutAside(slot, slots, before, wp.clone(points))
