@@ -109,8 +109,6 @@ def true_visibility(
         light: Index of the light.
         centre: Whether to ask for the light's centre alone: what hard shadows should be.
     """
-    geometry, (width, height) = Geometry(scene, device), size
-    renderer = ReferenceRenderer(
-        geometry, samples=samples, width=width, height=height, light=light, centre=centre, device=device
-    )
-    return renderer.render(frame).visibility
+    width, height = size
+    options = {"width": width, "height": height, "light": light, "centre": centre, "device": device}
+    return ReferenceRenderer(Geometry(scene, device), samples=samples, **options).render(frame).visibility
