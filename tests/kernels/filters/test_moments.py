@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import small_scenes as small
 import warp as wp
-from filtering_sessions import render
 
 from wkernels.device.launch import launch
 from wkernels.filters.map_images import sample_bilinear
@@ -136,15 +134,3 @@ def test_depth_range_spans_the_box_in_front_of_the_light() -> None:
     assert depth_range(np.stack([down, away]), corners) == pytest.approx((0.0, 8.0))
     near, far = depth_range(away[None], corners)
     assert near == 0.0 and far > near
-
-
-def test_vsm_is_lighter_where_casters_overlap() -> None:
-    low = small.mesh("low", small.plane(3.0, y=1.0), receives=False)
-    high = small.mesh("high", small.plane(3.0, y=6.0, centre=(1.4, 0.0)), receives=False)
-    scene = small.scene([small.mesh("ground", small.plane(12.0)), low, high], small.light("rectangle"))
-    truth = render(scene, "reference_multisample", samples=64).visibility
-    leaking = render(scene, "vsm", width="pcss").visibility - truth
-    cut = render(scene, "vsm", width="pcss", bleeding=0.4).visibility - truth
-    umbra = truth == 0.0
-    assert np.mean(leaking[umbra]) > 0.005 and np.nanmean(leaking) > 0.0
-    assert np.mean(cut[umbra]) < 0.2 * np.mean(leaking[umbra])
