@@ -67,6 +67,21 @@ class Limit:
     flips: float = 0.0
 
 
+@dataclass(frozen=True, kw_only=True)
+class ExpectedFailure:
+    """A conformance check that the published method cannot pass.
+
+    Attributes:
+        check: Name of the check.
+        because: Why it cannot be passed.
+        message: Regular expression that the failed assertion's text must match; any other failure is a defect.
+    """
+
+    check: str
+    because: str
+    message: str
+
+
 class Params(BaseModel):
     """Base of all parameter models: unknown names are refused, numbers are finite, values do not change."""
 
@@ -124,9 +139,10 @@ class Technique(ABC):
         paper: Keys in references.bib.
         needs: What a scene must offer.
         hard: Whether it shows the hard shadow of a soft light's centre; always so in the family ``hard``.
-        bias_sign: Sign of the mean error by the method's nature: ``darker``, ``lighter`` or ``none``.
+        bias_sign: Sign of the mean error by the method's nature: ``darker``, ``lighter`` or ``none``; seen, and not
+            contradicted, in the conformance check's scenes.
         limits: What it must equal in the limit; tested.
-        expected_failures: Conformance checks that the published method cannot pass, each with its reason.
+        expected_failures: Conformance checks that the published method cannot pass.
         may_leave_out: What the technique itself leaves out where it is not needed, besides what every session does;
             ``explain`` tells it.
         stability_limits: Stiff cases (``kinds.stability``) in which the published method breaks by nature, each
@@ -140,7 +156,7 @@ class Technique(ABC):
     hard: ClassVar[bool] = False
     bias_sign: ClassVar[Literal["darker", "lighter", "none"]]
     limits: ClassVar[tuple[Limit, ...]] = ()
-    expected_failures: ClassVar[dict[str, str]] = {}
+    expected_failures: ClassVar[tuple[ExpectedFailure, ...]] = ()
     may_leave_out: ClassVar[tuple[Omission, ...]] = ()
     stability_limits: ClassVar[dict[str, str]] = {}
     Params: ClassVar[type[Params]] = Params

@@ -13,6 +13,7 @@ from algorithms.projections.table import warps
 from algorithms.projections.warps.lispsm_nrepar import strength
 from wkernels.analysis.perspective_error import (
     TiltedFrustum,
+    err_accurate,
     partitioned_errors,
     storage_factor,
     texels_per_pixel,
@@ -234,10 +235,8 @@ def test_accurate_error_is_one_direction_of_the_jacobian(seed: int) -> None:
     depth = {key: float(-way[key] @ forward[key]) for key in "el"}
     cos_phi = tuple(float(-way[key] @ forward[key]) / length[key] for key in "le")
     cos_psi = tuple(abs(float(way[key] @ normal)) / length[key] for key in "le")
-    # near planes at distance 1 are 2 * half wide; the uniform parametrisation spans its plane once; with distances along
-    # the beams in place of depths the cosines of phi would have to be squared
-    m = 480 / 512 * half["l"] / half["e"] * depth["l"] / depth["e"]
-    m *= cos_phi[0] / cos_phi[1] * (cos_psi[1] / cos_psi[0])
+    # near planes at distance 1 are 2 * half wide; the uniform parametrisation spans its plane once
+    m = err_accurate(480 / 512, 1.0, half["l"] / half["e"], 1.0, depth["l"] / depth["e"], cos_phi, cos_psi)
     assert 1.0 / abs(jacobian[1, 1]) == pytest.approx(m, rel=EXACT)
     assert abs(jacobian[1, 0]) < 1e-9
 

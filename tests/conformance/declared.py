@@ -133,7 +133,8 @@ def declarations_resolve(technique: type[Technique], device: str) -> None:
         except (ValidationError, InputError) as error:
             raise AssertionError(f"limit '{limit.equals}': {error}") from error
         assert 0.0 <= limit.flips <= 0.05 and 0.0 <= limit.tolerance <= 0.05, "a tolerance that lets anything pass"
-    for name, reason in technique.expected_failures.items():
-        assert name in CHECKS, f"expects the unknown check '{name}' to fail"
-        assert reason.strip(), f"expects '{name}' to fail without saying why"
+    for expected in technique.expected_failures:
+        assert expected.check in CHECKS, f"expects the unknown check '{expected.check}' to fail"
+        assert expected.because.strip(), f"expects '{expected.check}' to fail without saying why"
+        assert not re.search(expected.message, ""), f"expects '{expected.check}' to fail with any message"
     assert not inspect.isabstract(technique)

@@ -14,6 +14,31 @@ from dataclasses import dataclass
 import numpy as np
 
 
+def err_accurate(
+    resolution_ratio: float,
+    dg_dt: float,
+    width_ratio: float,
+    near_ratio: float,
+    distance_ratio: float,
+    cos_phi: tuple[float, float],
+    cos_psi: tuple[float, float],
+) -> float:
+    """m of a surface element anywhere, for any light, equation 2.2.
+
+    Args:
+        resolution_ratio: r_j / r_t, image over map.
+        dg_dt: Derivative of the map's parametrisation.
+        width_ratio: W_l / W_e, light's over eye's image plane.
+        near_ratio: n_e / n_l, near planes, eye's over light's.
+        distance_ratio: d_l / d_e, depths of the element along the views' axes (with distances along the beams the
+            cosines of phi would have to be squared); d_l / n_l becomes 1 for a directional light.
+        cos_phi: Cosines between beam and image plane's normal, (light, eye).
+        cos_psi: Cosines between beam and the element's normal, (light, eye).
+    """
+    lengths = resolution_ratio * dg_dt * width_ratio * near_ratio * distance_ratio
+    return lengths * (cos_phi[0] / cos_phi[1]) * (cos_psi[1] / cos_psi[0])
+
+
 def texels_per_pixel(
     ws_to_ls: np.ndarray, resolution: int, ws_to_ss: np.ndarray, size: tuple[int, int], points: np.ndarray, normals
 ) -> np.ndarray:

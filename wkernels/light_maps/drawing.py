@@ -85,7 +85,7 @@ class Drawing:
         geometry: What casts.
         rasteriser: Draws it.
         cull: Faces that are left out, as seen from the light.
-        caster_set: Which of them, a key of ``Geometry.caster_sets``; blocks are of ``all``, others are drawn in passes.
+        caster_set: Which casters, a key of ``Geometry.caster_sets``; blocks are of ``all``, others are drawn in passes.
         options: How maps are stored and drawn; drawn in any other way than in passes only with ``blocks``.
         blocks: Of the casters; what lies beside a layer's view is not drawn there.
         everything: Whether all of it is drawn all the same.
