@@ -11,22 +11,10 @@ from typing import Any
 import warp as wp
 
 from wkernels.raster.counting import COUNT_ALL, Counted
-from wkernels.raster.lane_bands import (
-    HUGE,
-    LANES,
-    PIECE,
-    PIECE_64,
-    PIXEL_64,
-    DepthKey,
-    Floats,
-    IntPiece,
-    Ints,
-    Piece,
-    add_row,
-    bias_32,
-)
+from wkernels.raster.lane_bands import LANES, PIECE_64, PIXEL_64, Floats, Ints, add_row, bias_32
 from wkernels.raster.lane_culling import SMALL, column_of, edge_32, first_centre, last_centre, row_of
 from wkernels.raster.lane_lists import LaneLists
+from wkernels.raster.lane_target import HUGE, PIECE, DepthKey, IntPiece, Piece
 from wkernels.raster.lanes import pieces
 from wkernels.raster.triangles import HALF_PIXEL, SUBPIXELS, edge, top_left_bias
 from wkernels.scene.views import View
