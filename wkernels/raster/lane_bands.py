@@ -15,7 +15,7 @@ from wkernels.raster.triangles import (
     top_left_bias,
 )
 
-LANES = wp.constant(64)  # triangles set up in one step
+BAND_LANES = wp.constant(64)  # triangles set up in one step
 PIECE = wp.constant(8)  # pixels drawn in one step
 PIECE_64 = wp.constant(wp.float64(8.0))
 PIXEL_64 = wp.constant(wp.float64(256.0))
@@ -25,8 +25,8 @@ PEELED = wp.constant(4.0e30)  # times 1/2: beyond any key
 HUGE = wp.constant(1.0e38)
 LEAST_FACTOR = wp.constant(1.0e-30)  # beyond a warped view's horizon, where nothing is drawn
 
-Ints = wp.types.vector(length=LANES, dtype=wp.int32)
-Floats = wp.types.vector(length=LANES, dtype=wp.float32)
+Ints = wp.types.vector(length=BAND_LANES, dtype=wp.int32)
+Floats = wp.types.vector(length=BAND_LANES, dtype=wp.float32)
 Piece = wp.types.vector(length=PIECE, dtype=wp.float32)
 IntPiece = wp.types.vector(length=PIECE, dtype=wp.int32)
 
@@ -269,9 +269,9 @@ def draw_band(
     y1 = Ints(0)
     wide = Ints(0)
     list_end = band_begin[band + 1]
-    for i0 in range(band_begin[band], list_end, LANES):
+    for i0 in range(band_begin[band], list_end, BAND_LANES):
         listed = band_list[i0]
-        for k in range(LANES):
+        for k in range(BAND_LANES):
             t = listed[k]
             a = corners[t]
             b = corners[corner_pitch + t]
@@ -332,7 +332,7 @@ def draw_band(
             y0[k] = upper
             y1[k] = wp.min(last_centre(high_y), bottom)
             wide[k] = wp.where(wp.max(high_x - low_x, high_y - low_y) > SMALL, 1, 0)
-        for k in range(wp.min(LANES, list_end - i0)):
+        for k in range(wp.min(BAND_LANES, list_end - i0)):
             t = listed[k]
             name = float(t)
             if t >= first_clipped:
