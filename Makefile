@@ -1,5 +1,6 @@
 # Every target makes .venv by itself; nothing else needs to be installed but Python 3.11 or newer.
 PYTHON ?= python3
+WORKERS ?= auto
 BIN := .venv/bin
 STAMP := .venv/.installed
 
@@ -8,10 +9,10 @@ STAMP := .venv/.installed
 
 help:
 	@echo "make demo    render the demo walkthrough and write its report"
-	@echo "make test    run the tests"
+	@echo "make test    run the tests on all cores (WORKERS=N: on N)"
 	@echo "make check   lint and type check"
 	@echo "make bench   time passes beside other renderers, frames, scaling and start-up (5 minutes)"
-	@echo "make table   bring the technique table of README.md up to date"
+	@echo "make table   bring the tables of README.md and docs/formats.md up to date"
 	@echo "make picture make the picture of README.md again, from the demo"
 	@echo "make clean   remove .venv and out/"
 
@@ -25,7 +26,7 @@ demo: $(STAMP)
 	@echo "Report: $(CURDIR)/out/demo/report.html"
 
 test: $(STAMP)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadscope --no-loadscope-reorder
 
 check: $(STAMP)
 	$(BIN)/ruff check .
@@ -36,6 +37,7 @@ bench: $(STAMP)
 
 table: $(STAMP)
 	$(BIN)/python -m experiments.commands.readme
+	$(BIN)/python -m experiments.commands.formats
 
 picture: demo
 	$(BIN)/python -m experiments.commands.picture out/demo docs/images/demo.jpg

@@ -13,6 +13,11 @@ def assert_twin(actual: np.ndarray, expected: np.ndarray, *, rtol: float = 1e-5,
     np.testing.assert_allclose(np.asarray(actual, float), np.asarray(expected, float), rtol=rtol, atol=atol)
 
 
+def rmse(actual: np.ndarray, expected: np.ndarray) -> float:
+    """Root mean square difference of two images over the pixels that both have (NaN: no receiver)."""
+    return float(np.sqrt(np.nanmean((actual - expected) ** 2)))
+
+
 def edge_band(image: np.ndarray, width: int = 1) -> np.ndarray:
     """Pixels within ``width`` of a place where the image changes by more than ``EDGE``, or starts or ends; bool (H, W)."""
     filled = np.nan_to_num(image, nan=-1.0)

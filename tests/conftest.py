@@ -1,5 +1,9 @@
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
+from typing import Any
+
 import pytest
 import small_scenes
 import warp as wp
@@ -11,8 +15,43 @@ from wkernels.scene.model import Scene
 assert wkernels.__version__
 
 
-# Test images are small enough for one thread; shared all the same, so that what is tested is what large ones do.
+# Test images are small enough for one tile; cut all the same, so that what is tested is what large ones do.
 launching.WORTH_SHARING_S = 0.0
+
+WORKER = os.environ.get("PYTEST_XDIST_WORKER")
+if WORKER is not None:  # the workers share the cores; what is about threads asks for them
+    os.environ.setdefault("WKERNELS_THREADS", "1")
+
+BY_FIRST_PARAMETER = ("test_conformance.py", "test_checks_can_fail.py", "test_cuda_compiles.py")
+"""Files whose tests are many and need nothing from each other: each value of the first parameter may go elsewhere."""
+LONG = ("test_twins.py", "test_cuda_compiles.py")
+"""Files that come first, as a core that began one of them last would keep all others waiting."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: item.path.name not in LONG)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Hands out whole files, so that what a file's fixtures make is made once; some files in parts."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Scheduler(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file, _, test = nodeid.partition("::")
+            return nodeid.partition("-")[0] if file.endswith(BY_FIRST_PARAMETER) and "[" in test else file
+
+    return Scheduler(config, log)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _shared_references(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """References are traced once in a run, by whichever worker comes first, and never read from an earlier run."""
+    folder = tmp_path_factory.getbasetemp()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("WKERNELS_CACHE", str((folder if WORKER is None else folder.parent) / "references"))
+        yield
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -124,6 +124,27 @@ def camera(
     return Camera(np.array(eye), np.array(target), np.array([0.0, 1.0, 0.0]), fov_deg, near, far)
 
 
+def sideways(pixels: float, rows: int) -> Callable[[int], Camera]:
+    """A path sideways by so many pixels a frame, seen at the target in an image of ``rows``; at frame 20 in the middle."""
+    pixel = 2.0 * 10.0 * np.tan(np.radians(25.0)) / rows
+
+    def path(frame: int) -> Camera:
+        x = pixel * pixels * (frame - 20)
+        return camera((x, 6.0, 8.0), (x, 0.0, 0.0))
+
+    return path
+
+
+def circling(degrees: float) -> Callable[[int], Camera]:
+    """A path round the middle of the scene by so many degrees a frame."""
+
+    def path(frame: int) -> Camera:
+        angle = np.radians(degrees) * frame
+        return camera((8.0 * np.sin(angle), 6.0, 8.0 * np.cos(angle)))
+
+    return path
+
+
 def scene(
     meshes: tuple[Mesh, ...] | list[Mesh], lamp: Light, view: Camera | Callable[[int], Camera] | None = None
 ) -> Scene:

@@ -29,7 +29,6 @@ def on_cpu(device: str) -> None:
         pytest.skip("lane kernels run on the CPU only")
 
 
-@pytest.mark.xdist_group("twins")
 @pytest.mark.usefixtures("on_cpu")
 @pytest.mark.parametrize("name", TWINS)
 def test_lanes_do_what_the_plain_kernel_does(name: str) -> None:

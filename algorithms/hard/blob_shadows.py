@@ -22,10 +22,12 @@ from typing import ClassVar, Literal
 import warp as wp
 from pydantic import ValidationInfo, field_validator
 
-from algorithms.technique import Frame, Params, Technique, setting
+from algorithms.technique import ExpectedFailure, Frame, Technique, setting
+from algorithms.technique import Params as BaseParams
 from wkernels.casters.blobs import Blob, bounding_ellipsoid, distance_to_blob, placed_ellipsoid
 from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
 from wkernels.scene.geometry import RECEIVES
+from wkernels.workspace.products import Product
 
 
 @wp.struct
@@ -77,15 +79,20 @@ class BlobShadows(Technique):
     name = "blob_shadows"
     family = "hard"
     paper = ("schwaerzler2009",)
+    products = (Product.G_BUFFER,)
     bias_sign = "lighter"
-    expected_failures: ClassVar[dict[str, str]] = {
-        "behind_an_opaque_slab_all_is_dark": "a blob fades with the height of its caster"
-    }
+    expected_failures = (
+        ExpectedFailure(
+            check="behind_an_opaque_slab_all_is_dark",
+            because="a blob fades with the height of its caster",
+            message=r"^up to 0\.\d+ under",
+        ),
+    )
     stability_limits: ClassVar[dict[str, str]] = {
         "light_place": "a blob is a spot on what lies behind a caster: a light inside one darkens nothing else"
     }
 
-    class Params(Params):
+    class Params(BaseParams):
         """How blobs look."""
 
         strength: float = setting(1.0, "darkness of a blob whose caster lies on the receiver", unit="1", ge=0.0, le=1.0)

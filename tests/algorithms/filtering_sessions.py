@@ -5,13 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from sessions import open_session, technique
 
-from algorithms.plugins import find
 from wkernels.frame.session import FrameResult, Session
-from wkernels.scene.geometry import Geometry
-from wkernels.scene.lights import (
-    PointLight,
-)
+from wkernels.scene.lights import PointLight
 from wkernels.scene.model import Scene
 
 INSIDE = PointLight(position=np.array([0.2, 3.2, 1.5]))  # among the casters of `cluttered`: six faces
@@ -22,14 +19,9 @@ OPTIONS: dict[str, Any] = {}
 """What every session here is opened with; ``conftest.py`` puts the device in."""
 
 
+def session(scene: Scene, *, size: tuple[int, int] = (64, 48), **options: Any) -> Session:
+    return open_session(scene, OPTIONS["device"], size=size, **options)
+
+
 def render(scene: Scene, name: str, *, size: tuple[int, int] = (64, 48), **params: Any) -> FrameResult:
     return session(scene, size=size).render(technique(name, **params))
-
-
-def technique(name: str, **params: Any) -> Any:
-    plugin = find(name)
-    return plugin(plugin.Params(**params))
-
-
-def session(scene: Scene, *, size: tuple[int, int] = (64, 48), **options: Any) -> Session:
-    return Session(Geometry(scene, OPTIONS["device"]), width=size[0], height=size[1], **OPTIONS, **options)

@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 import small_scenes as small
 import warp as wp
-from compare import assert_twin
+from compare import assert_twin, rmse
+from sessions import open_session, render_frames, small_technique, technique, true_visibility, walk
 from test_shadow_buffer import EYE, HEIGHT, WIDTH, fetch_twin, ground_depth, ray
 
-from algorithms.plugins import find
 from wkernels.device.launch import launch
-from wkernels.frame.session import Session
-from wkernels.scene.geometry import Geometry
-from wkernels.scene.model import Camera, Scene
+from wkernels.scene.model import Camera
 from wkernels.scene.views import View
 from wkernels.temporal.shadow_buffer.buffer_shelf import PROBE, PUT_ASIDE, SEE, BufferShelf, pull_shelf
 from wkernels.temporal.shadow_buffer.earlier_buffers import EarlierBuffers, fetch_earlier
 from wkernels.temporal.shadow_buffer.record import BILINEAR, TEXEL_TYPES
 
 STEPS = int(BILINEAR)
+SIZE = (80, 60)
+MAP = {"resolution": 512}
 
 
 @wp.kernel
@@ -125,35 +125,19 @@ def a_b_a(frame: int) -> Camera:
     return B if 40 <= frame < 50 else A
 
 
-def walk(scene: Scene, device: str, frames: int, name: str, **params: Any) -> tuple[list[Any], Session]:
-    session = Session(Geometry(scene, device), width=80, height=60, device=device)
-    plugin: Any = find(name)
-    technique, out = plugin(plugin.Params(resolution=512, **params)), []
-    for index in range(frames):
-        session.begin(index)
-        out.append(session.render(technique))
-        session.advance()
-    return out, session
-
-
 @pytest.mark.parametrize(("name", "buffer"), [("tc_soft_paper", "float32"), ("tc_soft_thesis", "float16")])
 def test_after_a_cut_back_the_error_is_that_before_the_cut(name: str, buffer: str, device: str) -> None:
     lamp = small.light("rectangle", (2.0, 8.0, 1.0), 2.5)
     scene = small.scene([small.mesh("ground", small.plane(80.0)), *small.cluttered(lamp).meshes[1:]], lamp, a_b_a)
-    plugin: Any = find("reference_multisample")
-    truth = Session(Geometry(scene, device), width=80, height=60, device=device).render(
-        plugin(plugin.Params(samples=1024))
-    )
-
-    def error(result: Any) -> float:
-        return float(np.sqrt(np.nanmean((result.visibility - truth.visibility) ** 2)))
-
-    kept, session = walk(scene, device, 51, name, kept_views=2, buffer=buffer)
-    plain, _ = walk(scene, device, 51, name, kept_views=1, buffer=buffer)
-    before = error(kept[39])
-    assert before == error(plain[39]), "nothing was put aside before the cut"
-    assert error(kept[50]) < 1.1 * before, (error(kept[50]), before)
-    assert error(plain[50]) > 1.5 * before, "as published a cut is a start"
+    truth = true_visibility(scene, device, samples=1024, size=SIZE)
+    session = open_session(scene, device, size=SIZE)
+    kept = render_frames(session, technique(name, kept_views=2, buffer=buffer, **MAP), 51)
+    plain = walk(scene, device, name, 51, {"size": SIZE}, kept_views=1, buffer=buffer, **MAP)
+    before = rmse(kept[39].visibility, truth)
+    assert before == rmse(plain[39].visibility, truth), "nothing was put aside before the cut"
+    after, anew = (rmse(walked[50].visibility, truth) for walked in (kept, plain))
+    assert after < 1.1 * before, (after, before)
+    assert anew > 1.5 * before, "as published a cut is a start"
     texels = session.history("shadow buffer", lambda: None).previous.numpy()
     assert np.median(texels[..., 1][texels[..., 1] > 0.0]) == 41.0
     held = [b for b in session._buffers.values() if len(b.shape) == 3]
@@ -162,14 +146,13 @@ def test_after_a_cut_back_the_error_is_that_before_the_cut(name: str, buffer: st
 
 def test_a_frame_is_the_same_however_often_it_is_rendered(device: str) -> None:
     lamp = small.light("rectangle", (2.0, 8.0, 1.0), 2.5)
-    session = Session(Geometry(small.box_on_ground(lamp, a_b_a), device), width=80, height=60, device=device)
-    plugin: Any = find("tc_soft_paper")
-    technique = plugin(plugin.Params(resolution=256, kept_views=2))
+    session = open_session(small.box_on_ground(lamp, a_b_a), device, size=SIZE)
+    made = small_technique("tc_soft_paper", kept_views=2)
     for index in (36, 37, 38, 39, 40, 41, 50):
         images = []
         for _ in range(2):
             session.begin(index)
-            images.append(session.render(technique).visibility)
+            images.append(session.render(made).visibility)
         np.testing.assert_array_equal(*images)
         session.advance()
     assert pull_shelf(session, [session.light]).on_device.count == 1
@@ -182,7 +165,8 @@ def test_sums_of_several_lights_survive_a_cut(lights: str, name: str, device: st
     scene = replace(small.box_on_ground(lamps[0], lambda i: a_b_a(i + 20)), lights=lamps)
     n = {}
     for kept in (1, 2):
-        _, session = walk(scene, device, 31, name, kept_views=kept, lights=lights)
+        session = open_session(scene, device, size=SIZE)
+        render_frames(session, technique(name, kept_views=kept, lights=lights, **MAP), 31)
         texels = session.history("shadow buffer", lambda: None).previous.numpy()
         n[kept] = float(np.median(texels[..., 1][texels[..., 1] > 0.0]))
         n[-kept] = float(texels[..., 0].sum() / texels[..., 1].sum())
@@ -199,7 +183,7 @@ def test_no_shadow_of_a_mover_comes_back(params: dict[str, Any], device: str) ->
     scene = small.moved(still, 1, lambda i: 0.0 if i < 20 else 40.0)
     images = {}
     for kept in (1, 2):
-        images[kept], _ = walk(scene, device, 31, "tc_soft_paper", kept_views=kept, **params)
+        images[kept] = walk(scene, device, "tc_soft_paper", 31, {"size": SIZE}, kept_views=kept, **MAP, **params)
     then, now, plain = images[2][19].visibility, images[2][30].visibility, images[1][30].visibility
     was_dark = (then < 0.5) & (plain > 0.95)
     assert was_dark.sum() > 50
@@ -214,10 +198,10 @@ def test_a_light_that_moves_voids_what_was_kept(device: str) -> None:
 
     lamp = replace(small.light("rectangle", (2.0, 8.0, 1.0), 2.5), motion=motion)
     scene = small.box_on_ground(lamp, a_b_a)
-    _, session = walk(scene, device, 48, "tc_soft_paper", kept_views=4)
+    session = open_session(scene, device, size=SIZE)
+    render_frames(session, technique("tc_soft_paper", kept_views=4, **MAP), 48)
     held = pull_shelf(session, [session.light])
     assert held.on_device.count == 1 and len(held.views) == 1
     session.begin(48)
-    plugin: Any = find("tc_soft_paper")
-    session.render(plugin(plugin.Params(resolution=64, kept_views=4)))
+    session.render(technique("tc_soft_paper", resolution=64, kept_views=4))
     assert pull_shelf(session, [session.light]).on_device.count == 0

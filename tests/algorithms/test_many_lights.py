@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 import small_scenes as small
+from compare import rmse
 from pydantic import ValidationError
+from sessions import open_session, render_frames, small_technique, true_visibility, walk
 
 from algorithms.plugins import find
 from experiments import render_visibility
@@ -18,13 +21,10 @@ from experiments.kinds.walkthrough.explain import explain
 from experiments.rendering.engine import WarpEngine
 from experiments.rendering.reference import ReferenceRenderer
 from wkernels.errors import InputError
-from wkernels.frame.session import FrameResult, Session
-from wkernels.scene.geometry import Geometry
 from wkernels.scene.lights import Light
 from wkernels.scene.model import Scene
 from wkernels.temporal.shadow_buffer.many_lights import drawn_light, light_weights
 
-SIZE = (96, 72)
 BOTH = ("tc_soft_paper", "tc_soft_thesis")
 BRIGHT = replace(small.light("rectangle", (2.0, 8.0, 1.0), 1.5), radiance=(3.0, 3.0, 3.0))
 DIM = small.light("disc", (-3.0, 7.0, 1.0), 1.5)
@@ -35,27 +35,9 @@ def lit_by(*lights: Light) -> Scene:
     return replace(small.box_on_ground(lights[0]), lights=lights)
 
 
-def walk(scene: Scene, device: str, name: str, frames: int, light: int = 0, **params: Any) -> list[FrameResult]:
-    geometry = Geometry(scene, device)
-    session = Session(geometry, width=SIZE[0], height=SIZE[1], device=device, light_index=light)
-    plugin: Any = find(name)
-    small_map = {"resolution": 256} if "resolution" in plugin.Params.model_fields else {}
-    made, out = plugin(plugin.Params(**{**small_map, **params})), []
-    for index in range(frames):
-        session.begin(index)
-        out.append(session.render(made))
-        session.advance()
-    assert session.lights.index == light, "the light that is asked for stays so"
-    return out
-
-
-def alone(scene: Scene, device: str, light: int, name: str = "reference_multisample", **params: Any) -> np.ndarray:
-    return walk(scene, device, name, 1, light, **params)[-1].visibility
-
-
-def truth(scene: Scene, device: str) -> np.ndarray:
-    parts = [alone(scene, device, light, samples=256) for light in (0, 1)]
-    return WEIGHTS[0] * parts[0] + WEIGHTS[1] * parts[1]
+def weighted(of_light: Callable[[int], np.ndarray], weights: tuple[float, float] = WEIGHTS) -> np.ndarray:
+    """The mean over both lights of an image of each."""
+    return weights[0] * of_light(0) + weights[1] * of_light(1)
 
 
 # ---- weights ------------------------------------------------------------------------------------------------------------
@@ -100,8 +82,8 @@ def test_sampling_alone_is_the_weighted_mean_of_each_lights_maps(name: str, buff
     scene, frames = lit_by(BRIGHT, DIM), 12
     params: dict[str, Any] = {"filter": False, "start": "sample", "buffer": buffer}
     found = walk(scene, device, name, frames, lights="all", **params)[-1]
-    parts = [alone(scene, device, l, "multi_shadow_map", samples=frames, resolution=256) for l in (0, 1)]
-    expected = WEIGHTS[0] * parts[0] + WEIGHTS[1] * parts[1]
+    maps = {"samples": frames, "resolution": 256}
+    expected = weighted(lambda l: walk(scene, device, "multi_shadow_map", 1, {"light_index": l}, **maps)[0].visibility)
     assert ((expected > 0.02) & (expected < 0.98)).sum() > 300
     np.testing.assert_allclose(found.visibility, expected, atol=1e-5 if buffer == "float32" else 3e-3)
     # n grows by 1 / sum w^2 = 1.6 a frame
@@ -114,14 +96,14 @@ def test_sampling_alone_is_the_weighted_mean_of_each_lights_maps(name: str, buff
 @pytest.mark.parametrize("name", BOTH)
 def test_it_converges_to_the_weighted_mean_of_both_references(name: str, lights: str, device: str) -> None:
     scene = lit_by(BRIGHT, DIM)
-    expected = truth(scene, device)
-    results = walk(scene, device, name, 64, lights=lights, resolution=512)
-    rmse = [float(np.sqrt(np.nanmean((results[k].visibility - expected) ** 2))) for k in (0, 7, 63)]
-    assert rmse[0] > rmse[1] > rmse[2] and rmse[2] < 0.01, rmse
-    equal = 0.5 * (alone(scene, device, 0, samples=256) + alone(scene, device, 1, samples=256))
-    assert np.sqrt(np.nanmean((results[63].visibility - equal) ** 2)) > 3.0 * rmse[2], (
-        "equal weights are for equal lights"
-    )
+    expected = weighted(lambda l: true_visibility(scene, device, light=l))
+    session = open_session(scene, device)
+    results = render_frames(session, small_technique(name, lights=lights, resolution=512), 64)
+    assert session.lights.index == 0, "the light that is asked for stays so"
+    errors = [rmse(results[k].visibility, expected) for k in (0, 7, 63)]
+    assert errors[0] > errors[1] > errors[2] and errors[2] < 0.01, errors
+    equal = weighted(lambda l: true_visibility(scene, device, light=l), (0.5, 0.5))
+    assert rmse(results[63].visibility, equal) > 3.0 * errors[2], "equal weights are for equal lights"
     error = results[63].standard_error
     assert error is not None
     penumbra = (expected > 0.02) & (expected < 0.98)

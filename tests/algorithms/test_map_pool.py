@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 import small_scenes as small
 import warp as wp
+from sessions import open_session
 
-from algorithms.projections.composition import compose
 from algorithms.technique import MapParams
 from wkernels.device.launch import launch
-from wkernels.frame.session import Session
 from wkernels.light_maps.light_map import Bias, LightMap, compare_nearest, locate_receiver
 from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
 from wkernels.sampling.point_sets import light_set
-from wkernels.scene.geometry import CASTS, RECEIVES, Geometry
+from wkernels.scene.geometry import CASTS, RECEIVES
 from wkernels.scene.lights import DiscLight, Light
-from wkernels.scene.model import Scene
 from wkernels.temporal.map_pool.carried_history import decode_offset, encode_offset
 from wkernels.temporal.map_pool.drawing import PoolPainter, store_layers, store_tiles
 from wkernels.temporal.map_pool.kept_maps import KeptMaps
@@ -33,10 +29,6 @@ LIGHTS: dict[str, Light] = {
     "six faces": DiscLight(center=np.array([0.2, 3.2, 1.5]), normal=np.array([0.0, -1.0, 0.0]), radius=0.2),
 }
 BIASES = ("none", "constant", "slope", "normal")
-
-
-def open_session(scene: Scene, device: str, **options: Any) -> Session:
-    return Session(Geometry(scene, device), width=96, height=72, device=device, **options)
 
 
 @pytest.mark.parametrize("resolution", [16, 30, 64])
@@ -84,7 +76,7 @@ def both_tests(
 @pytest.mark.parametrize("warp", [None, "lispsm_nopt"])
 def test_a_test_in_a_pool_is_that_of_a_light_map(lamp: str, bias: str, warp: str | None, device: str) -> None:
     """The slope by triple products is that of the plane's own solution, warped maps included."""
-    projection = compose({"fit": "focused", "warp": warp}) if warp else None
+    projection = {"fit": "focused", "warp": warp} if warp else None
     session = open_session(small.cluttered(LIGHTS[lamp]), device, projection=projection)
     params = MapParams(resolution=256, bias=bias, bias_constant=2.0)
     gbuffer, samples = session.gbuffer(), session.light_samples(2)

@@ -10,20 +10,18 @@ import pytest
 import small_scenes as small
 import warp as wp
 from compare import assert_twin
+from sessions import open_session, render_frames, small_technique, true_visibility, walk
 
-from algorithms.plugins import find
 from wkernels.device.launch import launch
-from wkernels.frame.session import FrameResult, Session
 from wkernels.light_maps.light_map import depths_on_host
-from wkernels.scene.geometry import Geometry
 from wkernels.scene.model import Mesh, Scene
 from wkernels.temporal.shadow_buffer import mover_shadow
 from wkernels.temporal.shadow_buffer.mover_shadow import OVERLAPS, join_error, join_hidden, mover_regions
 
-SIZE = (96, 72)
 BOTH = ("tc_soft_paper", "tc_soft_thesis")
 LAMP = small.light("rectangle", (2.0, 8.0, 1.0), 2.0)
-OWN = {"mover_map": "centre"}
+PLAIN = {"overscan": 0.0}
+OWN = {**PLAIN, "mover_map": "centre"}
 
 
 def slide(frame: int) -> np.ndarray:
@@ -52,48 +50,20 @@ def only(scene: Scene, *names: str) -> Scene:
     return replace(scene, meshes=tuple(chosen(mesh) for mesh in scene.meshes))
 
 
-def open_session(scene: Scene, device: str, **options: Any) -> Session:
-    return Session(Geometry(scene, device), width=SIZE[0], height=SIZE[1], device=device, **options)
-
-
-def technique(name: str, **params: Any) -> Any:
-    plugin: Any = find(name)
-    return plugin(plugin.Params(**{"resolution": 256, **params}))
-
-
-def walk(scene: Scene, device: str, name: str, frames: int, **params: Any) -> tuple[list[FrameResult], Session]:
-    session, made, out = open_session(scene, device), technique(name, overscan=0.0, **params), []
-    for index in range(frames):
-        session.begin(index)
-        out.append(session.render(made))
-        session.advance()
-    return out, session
-
-
-def truth(scene: Scene, device: str, frame: int) -> np.ndarray:
-    plugin: Any = find("reference_multisample")
-    session = open_session(scene, device)
-    session.begin(frame)
-    return session.render(plugin(plugin.Params(samples=256))).visibility
-
-
 # ---- the maps -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("projection", [None, {"fit": "focused", "splits": 3}])
 def test_maps_hold_the_casters_that_are_asked_for(projection: dict[str, Any] | None, device: str) -> None:
     """Bit for bit those of scenes that have no others; triangles that stand come before those that move."""
-    from algorithms.projections.composition import compose
-
     scene = small.cluttered(LAMP)
     moves = replace(scene.meshes[0], moving=True)
     scene = replace(scene, meshes=(moves, *scene.meshes[1:]))
     names = {"all": tuple(m.name for m in scene.meshes), "still": ("boxes", "sphere"), "moving": ("terrain",)}
     for casters, wanted in names.items():
-        options = {} if projection is None else {"projection": compose(projection)}
-        session = open_session(scene, device, **options)
+        session = open_session(scene, device, projection=projection)
         views = session.light_map(64, caster_set=casters).map
-        alone = open_session(only(scene, *wanted), device, **options)
+        alone = open_session(only(scene, *wanted), device, projection=projection)
         expected, found = depths_on_host(alone.light_map(64).map), depths_on_host(views)
         np.testing.assert_array_equal(found, expected)
         assert np.isfinite(found).any() and found.shape[0] == (3 if projection else 1)
@@ -148,11 +118,11 @@ def test_shares_of_both_are_joined(overlap: str, device: str) -> None:
 def test_it_is_the_picture_of_still_casters_behind_pcss_of_moving_ones(name: str, overlap: str, device: str) -> None:
     """Each part rendered by itself, in a scene that has no other casters, and joined by NumPy."""
     scene = overlapping()
-    (*_, result), _ = walk(scene, device, name, 6, mover_overlap=overlap, **OWN)
-    (*_, still), _ = walk(only(scene, "high"), device, name, 6)
+    (*_, result) = walk(scene, device, name, 6, mover_overlap=overlap, **OWN)
+    (*_, still) = walk(only(scene, "high"), device, name, 6, **PLAIN)
     session = open_session(only(scene, "low"), device)
     session.begin(5)
-    moving = session.render(technique("pcss")).visibility
+    moving = session.render(small_technique("pcss")).visibility
     assert ((moving > 0.0) & (moving < 1.0) & (still.visibility < 1.0)).sum() > 40
     expected = np.minimum(still.visibility, moving) if overlap == "max" else still.visibility * moving
     np.testing.assert_allclose(result.visibility, expected, atol=1e-6)
@@ -170,7 +140,7 @@ def test_pixels_beside_the_movers_region_have_no_need_of_it(
     for everywhere in (False, True):
         if everywhere:
             monkeypatch.setattr(mover_shadow, "mover_regions", lambda frame, m: np.array([[-1e9, -1e9, 1e9, 1e9]]))
-        images.append(walk(overlapping(), device, name, 3, **OWN)[0][-1].visibility)
+        images.append(walk(overlapping(), device, name, 3, **OWN)[-1].visibility)
     np.testing.assert_array_equal(*images)
 
 
@@ -180,7 +150,9 @@ def test_no_mover_makes_a_still_pixel_start_anew(name: str, device: str) -> None
     frames = 8
     held = {}
     for mover_map in ("none", "centre"):
-        _, session = walk(overlapping(), device, name, frames, mover_map=mover_map, movers="disocclude")
+        session = open_session(overlapping(), device)
+        made = small_technique(name, mover_map=mover_map, movers="disocclude", **PLAIN)
+        render_frames(session, made, frames)
         held[mover_map] = session.history("shadow buffer", lambda: None).previous.numpy()[..., 1]
     receives = held["centre"] > 0.0
     assert (held["centre"][receives] == frames).mean() > 0.95, "all but what the plate has uncovered itself"
@@ -198,8 +170,8 @@ def test_a_mover_that_leaves_takes_its_shadow_along(name: str, device: str) -> N
 
     scene = overlapping()
     scene = replace(scene, meshes=(replace(scene.meshes[0], object_to_ws=away), *scene.meshes[1:]))
-    (*_, before, after), _ = walk(scene, device, name, 7, **OWN)
-    (*_, still), _ = walk(only(scene, "high"), device, name, 7)
+    (*_, before, after) = walk(scene, device, name, 7, **OWN)
+    (*_, still) = walk(only(scene, "high"), device, name, 7, **PLAIN)
     np.testing.assert_array_equal(after.visibility, still.visibility)
     assert np.nansum(after.visibility - before.visibility) > 10.0
 
@@ -209,11 +181,13 @@ def test_it_is_nearer_to_the_truth_under_movers(name: str, device: str) -> None:
     """By a margin, and with less flicker where moving and static penumbrae overlap (section 4.1)."""
     scene = overlapping()
     frames = 16
-    now, still, moving = (truth(s, device, frames - 1) for s in (scene, only(scene, "high"), only(scene, "low")))
+    now, still, moving = (
+        true_visibility(s, device, frames - 1) for s in (scene, only(scene, "high"), only(scene, "low"))
+    )
     near = moving < 1.0
     rmse = {}
-    for label, params in {"none": {}, "product": OWN, "max": {**OWN, "mover_overlap": "max"}}.items():
-        error = walk(scene, device, name, frames, resolution=512, **params)[0][-1].visibility - now
+    for label, params in {"none": PLAIN, "product": OWN, "max": {**OWN, "mover_overlap": "max"}}.items():
+        error = walk(scene, device, name, frames, resolution=512, **params)[-1].visibility - now
         rmse[label] = float(np.sqrt(np.mean(error[near] ** 2)))
     print(name, rmse)
     assert rmse["product"] < 0.7 * rmse["none"] and rmse["max"] < 0.9 * rmse["none"]
@@ -228,15 +202,10 @@ def test_it_is_nearer_to_the_truth_under_movers(name: str, device: str) -> None:
 @pytest.mark.parametrize("name", BOTH)
 def test_where_nothing_moves_there_is_no_second_map(name: str, device: str) -> None:
     scene = small.cluttered(LAMP)
-    images = [walk(scene, device, name, 3, mover_map=m)[0][-1] for m in ("none", "centre")]
+    images = [walk(scene, device, name, 3, mover_map=m, **PLAIN)[-1] for m in ("none", "centre")]
     np.testing.assert_array_equal(images[0].visibility, images[1].visibility)
     assert ("map of moving casters", "no caster moves", 1) in images[1].left_out
-    made = technique(name, overscan=0.0, **OWN)
-    session = open_session(scene, device, skips=False)
-    for index in range(3):
-        session.begin(index)
-        everything = session.render(made)
-        session.advance()
+    everything = walk(scene, device, name, 3, {"skips": False}, **OWN)[-1]
     np.testing.assert_array_equal(everything.visibility, images[1].visibility)
     np.testing.assert_array_equal(everything.standard_error, images[1].standard_error)
     assert not everything.left_out

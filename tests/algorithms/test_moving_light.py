@@ -4,22 +4,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 import small_scenes as small
+from sessions import true_visibility, walk
 
-from algorithms.plugins import find
 from experiments import render_visibility
 from wkernels.errors import InputError
-from wkernels.frame.session import FrameResult, Session
-from wkernels.scene.geometry import Geometry
 from wkernels.scene.model import Scene
 
-SIZE = (96, 72)
 BOTH = ("tc_soft_paper", "tc_soft_thesis")
 STANDS = 16  # frames before the light begins to move
+MAP = {"resolution": 512}
 LAMP = small.light("rectangle", (1.5, 8.0, 0.0), 1.5)
 
 
@@ -34,24 +31,6 @@ def swinging(step: float = 0.12) -> Scene:
     return small.box_on_ground(replace(LAMP, motion=motion))
 
 
-def walk(scene: Scene, device: str, frames: int, name: str, **params: Any) -> list[FrameResult]:
-    session = Session(Geometry(scene, device), width=SIZE[0], height=SIZE[1], device=device)
-    plugin: Any = find(name)
-    made, out = plugin(plugin.Params(**{"resolution": 512, **params})), []
-    for index in range(frames):
-        session.begin(index)
-        out.append(session.render(made))
-        session.advance()
-    return out
-
-
-def truth(scene: Scene, device: str, frame: int) -> np.ndarray:
-    plugin: Any = find("reference_multisample")
-    session = Session(Geometry(scene, device), width=SIZE[0], height=SIZE[1], device=device)
-    session.begin(frame)
-    return session.render(plugin(plugin.Params(samples=256))).visibility
-
-
 @pytest.mark.parametrize("name", BOTH)
 def test_shadows_trail_unless_what_is_remembered_ages(name: str, device: str) -> None:
     """Behind the shadow, whence it came, it is darker than the truth without ageing; before it, where it goes, lighter.
@@ -59,12 +38,12 @@ def test_shadows_trail_unless_what_is_remembered_ages(name: str, device: str) ->
     The light moves to -x and the shadow to +x.
     """
     scene, last = swinging(), STANDS + 16
-    now, then = truth(scene, device, last), truth(scene, device, STANDS)
+    now, then = true_visibility(scene, device, last), true_visibility(scene, device, STANDS)
     gone, come = then - now < -0.3, then - now > 0.3
     assert gone.sum() > 60 and come.sum() > 60
     errors = {}
     for ageing in ("none", "frames", "displacement", "balanced"):
-        shown = walk(scene, device, last + 1, name, ageing=ageing, age_factor=0.75)[-1].visibility
+        shown = walk(scene, device, name, last + 1, ageing=ageing, age_factor=0.75, **MAP)[-1].visibility
         error = shown - now
         errors[ageing] = [float(error[gone].mean()), float(error[come].mean()), float(np.sqrt(np.nanmean(error**2)))]
     print(name, {key: np.round(values, 3) for key, values in errors.items()})
@@ -79,11 +58,11 @@ def test_shadows_trail_unless_what_is_remembered_ages(name: str, device: str) ->
 def test_the_standard_error_does_not_claim_what_was_forgotten(name: str, device: str) -> None:
     """Over pixels in penumbra the stated error must not be less than the true one; without ageing it is a fifth of it."""
     scene, last = swinging(), STANDS + 16
-    now = truth(scene, device, last)
+    now = true_visibility(scene, device, last)
     penumbra = (now > 0.05) & (now < 0.95)
     stated = {}
     for ageing in ("none", "balanced"):
-        result = walk(scene, device, last + 1, name, ageing=ageing, filter=False)[-1]
+        result = walk(scene, device, name, last + 1, ageing=ageing, filter=False, **MAP)[-1]
         assert result.standard_error is not None
         error = np.sqrt(np.mean((result.visibility - now)[penumbra] ** 2))
         stated[ageing] = np.sqrt(np.mean(result.standard_error[penumbra] ** 2)) / error
@@ -95,7 +74,7 @@ def test_nothing_ages_while_the_light_stands(name: str, device: str) -> None:
     """The same bits until it moves, and from its first move on other ones."""
     scene = swinging()
     images = {
-        ageing: walk(scene, device, STANDS + 2, name, ageing=ageing, resolution=128) for ageing in ("none", "balanced")
+        ageing: walk(scene, device, name, STANDS + 2, ageing=ageing, resolution=128) for ageing in ("none", "balanced")
     }
     for frame in range(STANDS + 1):
         np.testing.assert_array_equal(images["none"][frame].visibility, images["balanced"][frame].visibility)
@@ -107,7 +86,7 @@ def test_nothing_ages_while_the_light_stands(name: str, device: str) -> None:
 def test_a_float16_buffer_ages_as_a_float32_one(name: str, device: str) -> None:
     scene = swinging()
     images = [
-        walk(scene, device, STANDS + 10, name, buffer=buffer, filter=False)[-1].visibility
+        walk(scene, device, name, STANDS + 10, buffer=buffer, filter=False, **MAP)[-1].visibility
         for buffer in ("float32", "float16")
     ]
     # sums are rounded to 2^-11 in every frame; a texel of history may just fail its depth test in one of them

@@ -8,23 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 import small_scenes as small
+from compare import rmse
 from pydantic import ValidationError
+from sessions import render, true_visibility, walk
 
 from algorithms.plugins import find
 from wkernels.frame import map_keeper
-from wkernels.frame.session import FrameResult, Session
+from wkernels.frame.session import FrameResult
 from wkernels.sampling.point_sets import light_set
-from wkernels.scene.geometry import Geometry
 from wkernels.scene.lights import DirectionalLight, Light, PointLight, RectangleLight
-from wkernels.scene.model import Scene
-
-
-def render(
-    scene: Scene, name: str, device: str, *, options: dict[str, Any] | None = None, **params: Any
-) -> FrameResult:
-    plugin = find(name)
-    session = Session(Geometry(scene, device), width=96, height=72, device=device, **(options or {}))
-    return session.render(plugin(plugin.Params(**params)))
 
 
 def hard_light(sample: np.ndarray) -> Light:
@@ -32,16 +24,12 @@ def hard_light(sample: np.ndarray) -> Light:
     return PointLight(position=sample[:3]) if sample[3] == 1.0 else DirectionalLight(direction=-sample[:3])
 
 
-def rmse(actual: np.ndarray, expected: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean((actual - expected) ** 2)))
-
-
 @pytest.mark.parametrize("kind", ["rectangle", "directional", "sphere", "linear"])
 def test_equals_the_mean_of_hard_maps(kind: str, device: str) -> None:
     lamp = small.light(kind, (1.0, 8.0, 0.5))
-    ours = render(small.cluttered(lamp), "multi_shadow_map", device, samples=5, resolution=128)
+    ours = render(small.cluttered(lamp), device, "multi_shadow_map", samples=5, resolution=128)
     hard = [
-        render(small.cluttered(hard_light(sample)), "shadow_map", device, resolution=128).visibility
+        render(small.cluttered(hard_light(sample)), device, "shadow_map", resolution=128).visibility
         for sample in lamp.sample(light_set("halton", 5))
     ]
     expected = np.mean(hard, axis=0)
@@ -59,10 +47,10 @@ def test_texture_weights_the_samples(device: str) -> None:
     lamp = small.light("rectangle")
     assert isinstance(lamp, RectangleLight)
     lamp = replace(lamp, texture=texture)
-    ours = render(small.box_on_ground(lamp), "multi_shadow_map", device, samples=8, resolution=256).visibility
+    ours = render(small.box_on_ground(lamp), device, "multi_shadow_map", samples=8, resolution=256).visibility
     u = light_set("halton", 8)
     hard = [
-        render(small.box_on_ground(hard_light(s)), "shadow_map", device, resolution=256).visibility
+        render(small.box_on_ground(hard_light(s)), device, "shadow_map", resolution=256).visibility
         for s in lamp.sample(u)
     ]
     weights = lamp.weights(u)
@@ -72,10 +60,10 @@ def test_texture_weights_the_samples(device: str) -> None:
 
 def test_converges_to_the_reference_down_to_the_size_of_a_texel(device: str) -> None:
     scene = small.box_on_ground(small.light("rectangle", (2.0, 8.0, 1.0), 2.0))
-    truth = render(scene, "reference_multisample", device, samples=1024).visibility
+    truth = true_visibility(scene, device, samples=1024)
 
     def error(samples: int, resolution: int) -> float:
-        made = render(scene, "multi_shadow_map", device, samples=samples, resolution=resolution)
+        made = render(scene, device, "multi_shadow_map", samples=samples, resolution=resolution)
         return rmse(made.visibility, truth)
 
     fine = [error(n, 1024) for n in (16, 64, 256)]
@@ -92,7 +80,7 @@ def test_penumbra_of_a_half_plane_is_the_closed_form(device: str) -> None:
         small.light("rectangle", (0.0, 10.0, 0.0), 2.0),
         small.camera((0.0, 4.0, 8.0)),
     )
-    result = render(scene, "multi_shadow_map", device, samples=256, resolution=512)
+    result = render(scene, device, "multi_shadow_map", samples=256, resolution=512)
     expected = np.clip(0.5 - result.world_position[..., 0] / 2.0, 0.0, 1.0)
     assert rmse(result.visibility, expected) < 0.008
     assert np.nanmax(np.abs(result.visibility - expected)) < 0.03
@@ -101,33 +89,21 @@ def test_penumbra_of_a_half_plane_is_the_closed_form(device: str) -> None:
 @pytest.mark.parametrize("lamp", [small.light("point"), replace(small.light("directional"), angle_deg=0.0)])
 def test_a_light_without_area_needs_one_map(lamp: Light, device: str) -> None:
     scene = small.box_on_ground(lamp)
-    ours = render(scene, "multi_shadow_map", device, samples=6, resolution=128)
+    ours = render(scene, device, "multi_shadow_map", samples=6, resolution=128)
     assert ("light depth maps", "the light has no area", 5) in ours.left_out
-    everything = render(scene, "multi_shadow_map", device, options={"skips": False}, samples=6, resolution=128)
+    everything = render(scene, device, "multi_shadow_map", {"skips": False}, samples=6, resolution=128)
     assert not everything.left_out
     np.testing.assert_array_equal(ours.visibility, everything.visibility)
     np.testing.assert_array_equal(ours.standard_error, everything.standard_error)
-    np.testing.assert_array_equal(ours.visibility, render(scene, "shadow_map", device, resolution=128).visibility)
+    np.testing.assert_array_equal(ours.visibility, render(scene, device, "shadow_map", resolution=128).visibility)
     assert 0.0 in ours.visibility and 1.0 in ours.visibility
 
 
 def test_one_sample_has_no_standard_error(device: str) -> None:
     scene = small.box_on_ground(small.light("disc"))
-    error = render(scene, "multi_shadow_map", device, samples=1, resolution=64).standard_error
+    error = render(scene, device, "multi_shadow_map", samples=1, resolution=64).standard_error
     assert error is not None
     assert (error[np.isfinite(error)] == 1.0).all()
-
-
-def walk(scene: Scene, device: str, frames: int) -> list[FrameResult]:
-    plugin = find("multi_shadow_map")
-    made = plugin(plugin.Params(samples=4, resolution=64))
-    session = Session(Geometry(scene, device), width=64, height=48, device=device)
-    out = []
-    for index in range(frames):
-        session.begin(index)
-        out.append(session.render(made))
-        session.advance()
-    return out
 
 
 def kept_maps(result: FrameResult) -> int:
@@ -136,21 +112,18 @@ def kept_maps(result: FrameResult) -> int:
 
 def test_maps_are_kept_while_casters_stand_still(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
     still = small.box_on_ground(small.light("rectangle"), lambda i: small.camera((0.3 * i, 6.0, 8.0)))
-    ground, box = still.meshes
-
-    def pose(frame: int) -> np.ndarray:
-        out = np.eye(4)
-        out[0, 3] = 0.5 * frame
-        return out
-
-    moving = replace(still, meshes=(ground, replace(box, object_to_ws=pose, moving=True)))
-    walks = {name: walk(scene, device, 3) for name, scene in (("still", still), ("moving", moving))}
+    moving = small.moved(still, 1, lambda frame: 0.5 * frame)
+    params: dict[str, Any] = {"options": {"size": (64, 48)}, "samples": 4, "resolution": 64}
+    walks = {
+        name: walk(scene, device, "multi_shadow_map", 3, **params)
+        for name, scene in (("still", still), ("moving", moving))
+    }
     assert [kept_maps(result) for result in walks["still"]] == [0, 4, 4]
     assert [kept_maps(result) for result in walks["moving"]] == [0, 0, 0]
     assert not np.array_equal(walks["moving"][1].visibility, walks["still"][1].visibility, equal_nan=True)
 
     monkeypatch.setattr(map_keeper, "MAP_BUDGET_BYTES", 2 * 64 * 64 * 4)
-    again = walk(still, device, 3)
+    again = walk(still, device, "multi_shadow_map", 3, **params)
     assert [kept_maps(result) for result in again] == [0, 2, 2]
     for kept, drawn in zip(walks["still"], again, strict=True):
         np.testing.assert_array_equal(kept.visibility, drawn.visibility)

@@ -8,56 +8,24 @@ from typing import Any
 import numpy as np
 import pytest
 import small_scenes as small
+from compare import rmse
 from pydantic import ValidationError
+from sessions import SIZE, open_session, render_frames, small_technique, true_visibility, walk
 
 from algorithms.plugins import find
-from wkernels.frame.session import FrameResult, Session
-from wkernels.scene.geometry import Geometry
 from wkernels.scene.model import Scene
 
-SIZE = (96, 72)
 LAMP = small.light("rectangle", (2.0, 8.0, 1.0), 2.0)
-BOTH = ("tc_soft_paper", "tc_soft_thesis")
-
-
-def open_session(scene: Scene, device: str, **options: Any) -> Session:
-    return Session(Geometry(scene, device), width=SIZE[0], height=SIZE[1], device=device, **options)
-
-
-def technique(name: str = "tc_soft_thesis", **params: Any) -> Any:
-    plugin = find(name)
-    return plugin(plugin.Params(**{"resolution": 256, **params}))
-
-
-def walk(
-    scene: Scene, device: str, frames: int, name: str = "tc_soft_thesis", seed: int = 1, **params: Any
-) -> list[FrameResult]:
-    session, made, out = open_session(scene, device, seed=seed), technique(name, **params), []
-    for index in range(frames):
-        session.begin(index)
-        out.append(session.render(made))
-        session.advance()
-    return out
+THESIS = "tc_soft_thesis"
+BOTH = ("tc_soft_paper", THESIS)
 
 
 def texels_after(scene: Scene, device: str, frames: int, **params: Any) -> np.ndarray:
     """The shadow buffer, float32 (H, W, 4), that so many frames leave."""
-    session, made = open_session(scene, device), technique(overscan=0.0, **params)
-    for index in range(frames):
-        session.begin(index)
-        session.render(made)
-        session.advance()
+    session = open_session(scene, device)
+    render_frames(session, small_technique(THESIS, overscan=0.0, **params), frames)
     texels: np.ndarray = session.history("shadow buffer", lambda: None).previous.numpy()
     return texels
-
-
-def truth(scene: Scene, device: str, samples: int = 4096) -> np.ndarray:
-    plugin: Any = find("reference_multisample")
-    return open_session(scene, device).render(plugin(plugin.Params(samples=samples))).visibility
-
-
-def rmse(actual: np.ndarray, expected: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean((actual - expected) ** 2)))
 
 
 # ---- convergence --------------------------------------------------------------------------------------------------------
@@ -67,7 +35,9 @@ def rmse(actual: np.ndarray, expected: np.ndarray) -> float:
 def test_a_still_camera_reaches_256_levels_in_256_frames(name: str, device: str) -> None:
     """Half a level of 128 is where more samples no longer show; the map of 2048 texels is fine enough not to limit it."""
     scene = small.box_on_ground(LAMP)
-    error = rmse(walk(scene, device, 256, name, resolution=2048)[-1].visibility, truth(scene, device))
+    error = rmse(
+        walk(scene, device, name, 256, resolution=2048)[-1].visibility, true_visibility(scene, device, samples=4096)
+    )
     assert error < 1.0 / 128.0
     print(f"{name}: rmse at n = 256 is {128 * error:.3f} of 1/128")
 
@@ -76,8 +46,8 @@ def test_a_still_camera_reaches_256_levels_in_256_frames(name: str, device: str)
 def test_a_mean_over_the_same_maps_is_what_they_converge_to(name: str, device: str) -> None:
     scene = small.cluttered(small.light("rectangle", (1.0, 8.0, 0.5)))
     sampling = {"start": "sample", "filter": False}
-    ours = walk(scene, device, 16, name, resolution=128, overscan=0.0, **sampling)[-1]
-    maps = open_session(scene, device).render(technique("multi_shadow_map", resolution=128, samples=16))
+    ours = walk(scene, device, name, 16, resolution=128, overscan=0.0, **sampling)[-1]
+    maps = open_session(scene, device).render(small_technique("multi_shadow_map", resolution=128, samples=16))
     np.testing.assert_allclose(ours.visibility, maps.visibility, atol=1e-6)
     np.testing.assert_allclose(ours.standard_error, maps.standard_error, atol=1e-5)
 
@@ -87,12 +57,14 @@ def coverage(scene: Scene, device: str, sample_set: str, seeds: range) -> tuple[
 
     Pixels nearer to lit or umbra than a tenth are left out: there 32 tests may well agree, and then the error is 0.
     """
-    expected = truth(scene, device)
+    expected = true_visibility(scene, device, samples=4096)
     penumbra = (expected > 0.1) & (expected < 0.9)
     assert penumbra.sum() > 120
     inside, stated, true = [], [], []
     for seed in seeds:
-        result = walk(scene, device, 32, seed=seed, filter=False, resolution=1024, sample_set=sample_set)[-1]
+        result = walk(scene, device, THESIS, 32, {"seed": seed}, filter=False, resolution=1024, sample_set=sample_set)[
+            -1
+        ]
         error = (result.visibility - expected)[penumbra]
         inside.append(np.abs(error) <= 2.0 * result.standard_error[penumbra])
         stated.append(result.standard_error[penumbra])
@@ -165,7 +137,10 @@ def two_plates() -> Scene:
 
 def test_a_stored_start_is_worth_16_samples(device: str) -> None:
     scene = small.box_on_ground(LAMP)
-    session, made = open_session(scene, device), technique(start="blur", overscan=0.0, filter_depth_range=0.05)
+    session, made = (
+        open_session(scene, device),
+        small_technique(THESIS, start="blur", overscan=0.0, filter_depth_range=0.05),
+    )
     shown = session.render(made)
     session.advance()
     texels = session.history("shadow buffer", lambda: None).previous.numpy()
@@ -176,7 +151,9 @@ def test_a_stored_start_is_worth_16_samples(device: str) -> None:
     blur = texels[started, 0] / 8.0 - tau[started]
     assert blur.min() >= -1e-6 and blur.max() <= 1.0 + 1e-6 and len(np.unique(np.round(blur, 4))) > 5
     # and its bias goes as 16 / n: after 64 frames psi differs by 16 (psi_0 - mean of 16 tests) / 80 at most
-    ours, plain = (walk(scene, device, 64, start=s, filter_depth_range=0.05)[-1].visibility for s in ("blur", "sample"))
+    ours, plain = (
+        walk(scene, device, THESIS, 64, start=s, filter_depth_range=0.05)[-1].visibility for s in ("blur", "sample")
+    )
     assert 0.01 < np.nanmax(np.abs(ours - plain)) < 16.0 / 64.0
 
 
@@ -186,8 +163,8 @@ def test_a_stored_start_is_worth_16_samples(device: str) -> None:
 def test_samples_are_shown_from_the_least_error_down_and_the_blur_from_the_largest_up(device: str) -> None:
     scene = small.box_on_ground(LAMP)
     options: dict[str, Any] = {"least_error": 0.05, "largest_error": 0.1, "filter_depth_range": 0.05}
-    blended, sampled = (walk(scene, device, 48, filter=f, **options) for f in (True, False))
-    always = walk(scene, device, 48, least_samples=1e6, **options)
+    blended, sampled = (walk(scene, device, THESIS, 48, filter=f, **options) for f in (True, False))
+    always = walk(scene, device, THESIS, 48, least_samples=1e6, **options)
     for n in (2, 8, 15, 16, 32, 48):
         own, plain, blur = (frames[n - 1].visibility for frames in (blended, sampled, always))
         error = sampled[n - 1].standard_error
@@ -208,15 +185,15 @@ def test_pixel_sizes_are_those_of_the_camera_and_of_the_print(device: str) -> No
     """Equations 5.9 and 5.10 are right for near = 1 / (2 tan(fov / 2)) alone: 1.07 here; near is 0.1, as the shader's."""
     scene = roofed()
     settings = {
-        size: technique(pixel_size=size)._width_error(open_session(scene, device))
+        size: small_technique(THESIS, pixel_size=size)._width_error(open_session(scene, device))
         for size in ("projected", "near_plane", "shader")
     }
     margin = 1.0 + 2.0 * np.ceil(0.025 * SIZE[1]) / SIZE[1]
     height_at_1 = 2.0 * np.tan(np.radians(25.0)) * margin
     assert settings["projected"] == pytest.approx(1.0)
     assert settings["near_plane"] == settings["shader"] == pytest.approx(0.1 * height_at_1)
-    first = {size: walk(scene, device, 1, pixel_size=size)[0].visibility for size in settings}
-    hard = walk(scene, device, 1, filter=False)[0].visibility
+    first = {size: walk(scene, device, THESIS, 1, pixel_size=size)[0].visibility for size in settings}
+    hard = walk(scene, device, THESIS, 1, filter=False)[0].visibility
     assert np.nanmean(first["projected"] != hard) > 0.03
     np.testing.assert_array_equal(first["shader"], hard)  # a tenth of the width is less than a pixel of this image
 
@@ -225,7 +202,9 @@ def test_a_wholly_lit_blur_counts(device: str) -> None:
     """A lone shadowed pixel among lit ones: the published shader rejects a blur of 0 and leaves it dark."""
     scene = roofed(4.0, 0.12)
     options: dict[str, Any] = {"filter_depth_range": 0.5, "kernel": "poisson"}
-    taken, rejected = (walk(scene, device, 1, zero_blur=z, **options)[0].visibility for z in ("taken", "rejected"))
+    taken, rejected = (
+        walk(scene, device, THESIS, 1, zero_blur=z, **options)[0].visibility for z in ("taken", "rejected")
+    )
     differs = np.nan_to_num(taken) != np.nan_to_num(rejected)
     assert differs.any()
     np.testing.assert_array_equal(taken[differs], 1.0)
@@ -235,20 +214,12 @@ def test_a_wholly_lit_blur_counts(device: str) -> None:
 # ---- history ------------------------------------------------------------------------------------------------------------
 
 
-def circling(degrees: float) -> Scene:
-    """An eye that circles the scene by so much a frame."""
-
-    def path(frame: int) -> Any:
-        angle = np.radians(degrees) * frame
-        return small.camera((8.0 * np.sin(angle), 6.0, 8.0 * np.cos(angle)))
-
-    return small.box_on_ground(LAMP, path)
-
-
 def test_relative_depth_keeps_slanted_ground(device: str) -> None:
     """At any epsilon that is above the rounding of float32: texels are tested on the receiver's plane."""
     for epsilon in (1e-3, 1e-5):
-        frames = walk(circling(0.2), device, 8, overscan=0.1, depth_epsilon=epsilon)
+        frames = walk(
+            small.box_on_ground(LAMP, small.circling(0.2)), device, THESIS, 8, overscan=0.1, depth_epsilon=epsilon
+        )
         receives = np.isfinite(frames[-1].visibility)
         assert (frames[-1].standard_error[receives] < 1.0).mean() > 0.99
 

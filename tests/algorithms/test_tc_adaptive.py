@@ -9,15 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 import small_scenes as small
+from compare import rmse
+from sessions import SIZE, open_session, small_technique, true_visibility, walk
 
-from algorithms.plugins import find
-from algorithms.projections.composition import compose
-from wkernels.frame.session import FrameResult, Session
-from wkernels.scene.geometry import Geometry
+from wkernels.frame.session import FrameResult
 from wkernels.scene.lights import DiscLight, Light
-from wkernels.scene.model import Scene
 
-SIZE = (96, 72)
+NAME = "tc_adaptive"
 LAMP = small.light("rectangle", (2.0, 8.0, 1.0), 2.0)
 LIGHTS: dict[str, Light] = {
     "perspective": LAMP,
@@ -26,44 +24,14 @@ LIGHTS: dict[str, Light] = {
 }
 
 
-def open_session(scene: Scene, device: str, size: tuple[int, int] = SIZE, **options: Any) -> Session:
-    return Session(Geometry(scene, device), width=size[0], height=size[1], device=device, **options)
-
-
-def technique(name: str = "tc_adaptive", **params: Any) -> Any:
-    plugin = find(name)
-    return plugin(plugin.Params(**{"resolution": 256, **params}))
-
-
-def walk(scene: Scene, device: str, frames: int, options: dict[str, Any] | None = None, **params: Any) -> list:
-    """Frames 0 to ``frames`` - 1 of one session."""
-    session, made, out = open_session(scene, device, **(options or {})), technique(**params), []
-    for index in range(frames):
-        session.begin(index)
-        out.append(session.render(made))
-        session.advance()
-    return out
-
-
-def truth(scene: Scene, device: str, frame: int = 0, samples: int = 1024) -> np.ndarray:
-    plugin = find("reference_multisample")
-    session = open_session(scene, device)
-    session.begin(frame)
-    return session.render(plugin(plugin.Params(samples=samples))).visibility
-
-
-def rmse(actual: np.ndarray, expected: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean((actual - expected) ** 2)))
-
-
 # ---- convergence --------------------------------------------------------------------------------------------------------
 
 
 def test_a_still_view_converges(device: str) -> None:
     """With low-discrepancy samples the error falls faster than 1 / sqrt(n)."""
     scene = small.box_on_ground(LAMP)
-    expected = truth(scene, device, samples=4096)
-    frames = walk(scene, device, 250, resolution=1024, still_samples=248)
+    expected = true_visibility(scene, device, samples=4096)
+    frames = walk(scene, device, NAME, 250, resolution=1024, still_samples=248)
     errors = [rmse(frames[at].visibility, expected) for at in (1, 15, 247)]  # 2, 16 and 244 points of the light
     assert errors[1] < 0.3 * errors[0] and errors[2] < 0.35 * errors[1], errors
     assert errors[2] < 1.0 / 128.0, errors
@@ -76,9 +44,9 @@ def test_two_standard_errors_cover_the_error(device: str) -> None:
     sphere = small.light("sphere", (2.0, 8.0, 1.0), 2.0)
     sizes, shares = [], []
     for scene in (small.box_on_ground(LAMP), small.box_on_ground(sphere), small.cluttered(LAMP)):
-        expected = truth(scene, device, samples=4096)
+        expected = true_visibility(scene, device, samples=4096)
         penumbra = (expected > 0.01) & (expected < 0.99)
-        frames = walk(scene, device, 68, resolution=2048)
+        frames = walk(scene, device, NAME, 68, resolution=2048)
         for at in (15, 67):
             error = np.abs(frames[at].visibility - expected)[penumbra]
             reported = frames[at].standard_error[penumbra]
@@ -90,18 +58,12 @@ def test_two_standard_errors_cover_the_error(device: str) -> None:
 
 def test_history_follows_a_slow_eye(device: str) -> None:
     """0.3 pixels a frame: the nearest texel is always the same one, and still history does not stick to the screen."""
-    pixel = 2.0 * 10.0 * np.tan(np.radians(25.0)) / SIZE[1]
-
-    def path(frame: int) -> Any:
-        x = pixel * 0.3 * (frame - 20)
-        return small.camera((x, 6.0, 8.0), (x, 0.0, 0.0))
-
-    scene = small.box_on_ground(LAMP, path)
-    expected = truth(scene, device, 39, samples=256)
-    walked = walk(scene, device, 40, samples=32, clip=0.0)[-1].visibility  # clipping would hide what sticks
+    scene = small.box_on_ground(LAMP, small.sideways(0.3, SIZE[1]))
+    expected = true_visibility(scene, device, 39, samples=256)
+    walked = walk(scene, device, NAME, 40, samples=32, clip=0.0)[-1].visibility  # clipping would hide what sticks
     alone = open_session(scene, device)
     alone.begin(39)
-    direct = alone.render(technique("multi_shadow_map", samples=32)).visibility
+    direct = alone.render(small_technique("multi_shadow_map", samples=32)).visibility
     # places that are half a pixel off cost some; history that sticks is 12 pixels off after 40 frames
     assert rmse(walked, expected) < 1.6 * rmse(direct, expected), (rmse(walked, expected), rmse(direct, expected))
 
@@ -111,7 +73,7 @@ def test_history_follows_a_slow_eye(device: str) -> None:
 
 def test_a_shadow_that_leaves_leaves_no_trail(device: str) -> None:
     scene = small.moved(small.box_on_ground(LAMP), 1, lambda frame: 0.0 if frame < 12 else 200.0)
-    frames = walk(scene, device, 13)
+    frames = walk(scene, device, NAME, 13)
     assert np.nanmean(frames[11].visibility < 0.5) > 0.02
     last = frames[12].visibility
     np.testing.assert_array_equal(last[np.isfinite(last)], 1.0)
@@ -123,13 +85,13 @@ def test_movers_and_what_stands_still_hide_together(lamp: str, device: str) -> N
     other = small.mesh("other", small.box((0.6, 2.6, 0.3), (1.0, 0.4, 1.2)), receives=False)
     scene = small.box_on_ground(LIGHTS[lamp])
     scene = small.moved(replace(scene, meshes=(*scene.meshes, other)), 2, lambda frame: 0.05 * frame)
-    result = walk(scene, device, 9, samples=16, draws=2, mover_maps=16, resolution=512)[-1].visibility
+    result = walk(scene, device, NAME, 9, samples=16, draws=2, mover_maps=16, resolution=512)[-1].visibility
     session = open_session(scene, device)
     session.begin(8)
-    both = session.render(technique("multi_shadow_map", samples=16, resolution=512)).visibility
+    both = session.render(small_technique("multi_shadow_map", samples=16, resolution=512)).visibility
     assert np.nanmean((both > 0.1) & (both < 0.9)) > 0.01
     assert rmse(result, both) < 0.02, rmse(result, both)
-    without = walk(small.box_on_ground(LIGHTS[lamp]), device, 9, samples=16, resolution=512)[-1].visibility
+    without = walk(small.box_on_ground(LIGHTS[lamp]), device, NAME, 9, samples=16, resolution=512)[-1].visibility
     assert rmse(without, both) > 0.03
 
 
@@ -137,7 +99,10 @@ def test_movers_and_what_stands_still_hide_together(lamp: str, device: str) -> N
 
 
 def test_a_frame_rendered_again_is_the_same(device: str) -> None:
-    session, made = open_session(small.moved(small.cluttered(LAMP), 1, lambda frame: 0.1 * frame), device), technique()
+    session, made = (
+        open_session(small.moved(small.cluttered(LAMP), 1, lambda frame: 0.1 * frame), device),
+        small_technique(NAME),
+    )
     for index in range(20):
         session.begin(index)
         once: FrameResult = session.render(made)
@@ -151,7 +116,7 @@ def test_maps_are_drawn_once_where_nothing_moves(device: str) -> None:
     def path(frame: int) -> Any:
         return small.camera((0.1 * frame, 6.0, 8.0))
 
-    frames = walk(small.box_on_ground(LAMP, path), device, 20, samples=16, draws=2)
+    frames = walk(small.box_on_ground(LAMP, path), device, NAME, 20, samples=16, draws=2)
     drawn = ["light depth map" in dict(result.passes) for result in frames]
     assert drawn == [True] * 8 + [False] * 12
 
@@ -159,8 +124,8 @@ def test_maps_are_drawn_once_where_nothing_moves(device: str) -> None:
 def test_layers_of_a_map_are_spread_over_frames(device: str) -> None:
     """Six faces, three a frame: the same picture in the end, as a still view counts every map once."""
     scene = small.cluttered(LIGHTS["six faces"])
-    spread = walk(scene, device, 7, samples=4, draws=0.5)
-    at_once = walk(scene, device, 1, samples=4, draws=4)[0].visibility
+    spread = walk(scene, device, NAME, 7, samples=4, draws=0.5)
+    at_once = walk(scene, device, NAME, 1, samples=4, draws=4)[0].visibility
     changes = [rmse(b.visibility, a.visibility) > 0.0 for a, b in itertools.pairwise(spread)]
     assert changes == [False, True] * 3, changes  # the first map takes a frame, the others two each
     np.testing.assert_allclose(spread[-1].visibility, at_once, atol=1e-6)
@@ -168,7 +133,7 @@ def test_layers_of_a_map_are_spread_over_frames(device: str) -> None:
 
 def test_threads_change_nothing(device: str) -> None:
     scene = small.moved(small.cluttered(LAMP), 1, lambda frame: 0.1 * frame)
-    images = [walk(scene, device, 4, {"threads": threads})[-1].visibility for threads in (1, 3)]
+    images = [walk(scene, device, NAME, 4, {"threads": threads})[-1].visibility for threads in (1, 3)]
     np.testing.assert_array_equal(images[0], images[1])
 
 
@@ -181,5 +146,5 @@ def test_projections_that_follow_the_eye(projection: dict[str, Any], device: str
         return small.camera((0.1 * frame, 6.0, 8.0))
 
     scene = small.box_on_ground(LAMP, path)
-    result = walk(scene, device, 20, {"projection": compose(projection)}, samples=16)[-1].visibility
-    assert rmse(result, truth(scene, device, 19, samples=256)) < 0.05
+    result = walk(scene, device, NAME, 20, {"projection": projection}, samples=16)[-1].visibility
+    assert rmse(result, true_visibility(scene, device, 19, samples=256)) < 0.05

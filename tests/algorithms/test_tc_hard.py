@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -10,18 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 import small_scenes as small
+from compare import rmse
 from pydantic import ValidationError
+from sessions import SIZE, open_session, render, render_frames, small_technique, true_visibility, walk
 
 from algorithms.plugins import find
-from algorithms.projections.composition import compose
 from experiments.metrics.carry_over import carry_over
 from experiments.scenes.loader import load_scene
 from wkernels.frame.session import FrameResult, Session
-from wkernels.scene.geometry import Geometry
 from wkernels.scene.lights import Light, PointLight
-from wkernels.scene.model import Camera, Scene
+from wkernels.scene.model import Scene
 
-SIZE = (96, 72)
+NAME = "tc_hard"
 SUN = small.light("directional", (3.0, 8.0, 2.0), 0.0)
 LAMPS: dict[str, Light] = {
     "directional": SUN,
@@ -29,36 +28,6 @@ LAMPS: dict[str, Light] = {
     "cube": PointLight(position=np.array([0.2, 1.9, 1.5])),
 }
 WARPED = {"fit": "focused", "warp": "lispsm_nopt", "splits": 4}
-
-
-def open_session(scene: Scene, device: str, projection: dict[str, Any] | None = None, **options: Any) -> Session:
-    views = compose(projection) if projection else None
-    sizes = {"width": SIZE[0], "height": SIZE[1], **options}
-    return Session(Geometry(scene, device), device=device, projection=views, **sizes)
-
-
-def technique(name: str = "tc_hard", **params: Any) -> Any:
-    plugin = find(name)
-    return plugin(plugin.Params(**({} if name == "ray_cast_point_shadow" else {"resolution": 256, **params})))
-
-
-def walk(session: Session, made: Any, frames: int, first: int = 0) -> list[FrameResult]:
-    out = []
-    for index in range(first, first + frames):
-        session.begin(index)
-        out.append(session.render(made))
-        session.advance()
-    return out
-
-
-def truth(scene: Scene, device: str, frame: int = 0) -> np.ndarray:
-    session = open_session(scene, device)
-    session.begin(frame)
-    return session.render(technique("ray_cast_point_shadow")).visibility
-
-
-def rmse(actual: np.ndarray, expected: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean((actual - expected) ** 2)))
 
 
 def remembered(session: Session) -> np.ndarray:
@@ -92,11 +61,12 @@ def turned_box(lamp: Light) -> Scene:
 )
 def test_a_still_view_converges_below_a_texel(lamp: str, projection: dict[str, Any] | None, device: str) -> None:
     scene = turned_box(LAMPS[lamp])
-    expected = truth(scene, device)
+    expected = true_visibility(scene, device, centre=True)
     one_map = rmse(
-        open_session(scene, device, projection).render(technique("shadow_map", resolution=64)).visibility, expected
+        render(scene, device, "shadow_map", {"projection": projection}, resolution=64).visibility,
+        expected,
     )
-    frames = walk(open_session(scene, device, projection), technique(resolution=64, overscan=0.0), 64)
+    frames = walk(scene, device, NAME, 64, {"projection": projection}, resolution=64, overscan=0.0)
     error = [rmse(frames[n - 1].visibility, expected) for n in (1, 4, 16, 64)]
     assert error[0] == one_map, "the first frame has no jitter"
     assert error[1] < 0.8 * error[0] and error[3] < 0.8 * error[1], error
@@ -106,14 +76,14 @@ def test_a_still_view_converges_below_a_texel(lamp: str, projection: dict[str, A
 def test_error_keeps_falling_to_its_plateau(device: str) -> None:
     """1, 4, 16, 64, 256 frames: down to 0.4 of what one map of that size gives."""
     scene = small.cluttered(SUN)
-    frames = walk(open_session(scene, device), technique(overscan=0.0), 256)
-    expected = truth(scene, device)
+    frames = walk(scene, device, NAME, 256, overscan=0.0)
+    expected = true_visibility(scene, device, centre=True)
     error = [rmse(frames[n - 1].visibility, expected) for n in (1, 4, 16, 64, 256)]
     assert all(b < 0.95 * a for a, b in pairwise(error)), error
     assert error[4] < 0.4 * error[0], error
     bias = float(np.nanmean(frames[-1].visibility - expected))
     assert abs(bias) < 0.001, "smoothed to both sides alike"
-    published = walk(open_session(scene, device), technique(overscan=0.0, blend="published", power=3), 64)
+    published = walk(scene, device, NAME, 64, overscan=0.0, blend="published", power=3)
     assert rmse(published[59].visibility, expected) < 0.5 * error[0]  # converged in 10 to 60 frames
     assert error[4] < 0.8 * np.mean([rmse(f.visibility, expected) for f in published[48:]])
 
@@ -121,10 +91,10 @@ def test_error_keeps_falling_to_its_plateau(device: str) -> None:
 def test_a_bias_that_knows_its_place_moves_shadows_less(device: str) -> None:
     """On smooth casters that shadow themselves and each other: nearer to the truth."""
     scene = load_scene("configs/scenes/overlap.yaml")
-    expected = truth(scene, device)
+    expected = true_visibility(scene, device, centre=True)
     error = {}
     for scaled in (True, False):
-        session, made = open_session(scene, device), technique(overscan=0.0, scale_bias=scaled)
+        session, made = open_session(scene, device), small_technique(NAME, overscan=0.0, scale_bias=scaled)
         for _ in range(32):  # of a still scene
             visibility = session.render(made).visibility
             session.advance()
@@ -134,41 +104,30 @@ def test_a_bias_that_knows_its_place_moves_shadows_less(device: str) -> None:
 
 def test_without_jitter_nothing_converges(device: str) -> None:
     scene = small.cluttered(SUN)
-    frames = walk(open_session(scene, device), technique(jitter=0.0, overscan=0.0), 12)
+    frames = walk(scene, device, NAME, 12, jitter=0.0, overscan=0.0)
     np.testing.assert_allclose(frames[-1].visibility, frames[0].visibility, atol=1e-6)
 
 
 @pytest.mark.parametrize("params", [{"rotation": 90.0}, {"sample_set": "halton"}, {"sample_set": "random"}])
 def test_any_jitter_converges(params: dict[str, Any], device: str) -> None:
     scene = small.cluttered(SUN)
-    expected = truth(scene, device)
-    frames = walk(open_session(scene, device), technique(**params), 64)
+    expected = true_visibility(scene, device, centre=True)
+    frames = walk(scene, device, NAME, 64, **params)
     assert rmse(frames[-1].visibility, expected) < 0.5 * rmse(
-        open_session(scene, device).render(technique("shadow_map")).visibility, expected
+        walk(scene, device, "shadow_map", 1)[0].visibility, expected
     )
 
 
 # ---- moving eyes ----------------------------------------------------------------------------------------------------------
 
 
-def panning(pixels: float, scene: Callable[..., Scene] = small.box_on_ground) -> Scene:
-    """An eye that moves sideways by so many pixels a frame, seen at the target."""
-    pixel = 2.0 * 10.0 * np.tan(np.radians(25.0)) / SIZE[1]
-
-    def path(frame: int) -> Camera:
-        x = pixel * pixels * (frame - 20)
-        return small.camera((x, 6.0, 8.0), (x, 0.0, 0.0))
-
-    return replace(scene(SUN), camera=path)
-
-
 def flicker(session: Session, made: Any, frames: int, skip: int = 12) -> tuple[float, list[FrameResult]]:
     """Mean change from frame to frame at points seen in both, after ``skip`` frames; and all frames."""
     changes: list[float] = []
-    results = walk(session, made, 1)
+    results = render_frames(session, made, 1)
     eye = session.eye()
     for index in range(1, frames):
-        result = walk(session, made, 1, index)[0]
+        result = render_frames(session, made, 1, index)[0]
         matrix = eye.ws_to_ss.copy()
         matrix[:, 3] = matrix @ np.append(-session.geometry.origin_ws, 1.0)
         last = results[-1]
@@ -184,10 +143,10 @@ def flicker(session: Session, made: Any, frames: int, skip: int = 12) -> tuple[f
 
 def test_the_swimming_of_warped_maps_averages_out(device: str) -> None:
     """A translating eye under LiSPSM with four splits: what the source names as remedy."""
-    scene = panning(0.37)
-    expected = truth(scene, device, 35)
+    scene = small.box_on_ground(SUN, small.sideways(0.37, SIZE[1]))
+    expected = true_visibility(scene, device, 35, centre=True)
     measured = {
-        name: flicker(open_session(scene, device, WARPED), technique(name, resolution=64), 36)
+        name: flicker(open_session(scene, device, projection=WARPED), small_technique(name, resolution=64), 36)
         for name in ("shadow_map", "tc_hard")
     }
     assert measured["tc_hard"][0] < 0.4 * measured["shadow_map"][0], {k: v[0] for k, v in measured.items()}
@@ -197,8 +156,8 @@ def test_the_swimming_of_warped_maps_averages_out(device: str) -> None:
 
 def test_reads_blur_and_the_bound_holds(device: str) -> None:
     """At 0.3 pixels a frame bilinear reads smear edges, unless frames are forgotten; the nearest texel sticks."""
-    scene = panning(0.3)
-    expected = truth(scene, device, 47)
+    scene = small.box_on_ground(SUN, small.sideways(0.3, SIZE[1]))
+    expected = true_visibility(scene, device, 47, centre=True)
     error = {}
     for key, params in {
         "half": {"blur": 0.5},
@@ -207,7 +166,9 @@ def test_reads_blur_and_the_bound_holds(device: str) -> None:
         "nearest": {"history": "nearest"},
     }.items():
         session = open_session(scene, device)
-        error[key] = rmse(walk(session, technique(resolution=512, **params), 48)[-1].visibility, expected)
+        error[key] = rmse(
+            render_frames(session, small_technique(NAME, resolution=512, **params), 48)[-1].visibility, expected
+        )
         blur = session.history("hard shadows", lambda: None).previous.numpy()[..., 3]
         assert {"half": 0.15 < np.median(blur) < 0.4, "one": 0.7 < np.median(blur) < 1.5}.get(key, True), np.median(
             blur
@@ -216,8 +177,8 @@ def test_reads_blur_and_the_bound_holds(device: str) -> None:
 
 
 def test_slanted_ground_keeps_its_history(device: str) -> None:
-    session = open_session(panning(0.3), device)
-    walk(session, technique(depth_epsilon=1e-5, blur=1000.0), 6)
+    session = open_session(small.box_on_ground(SUN, small.sideways(0.3, SIZE[1])), device)
+    render_frames(session, small_technique(NAME, depth_epsilon=1e-5, blur=1000.0), 6)
     ground = np.isfinite(session.gbuffer(0.05).depth.numpy())
     assert (remembered(session)[ground] > 2.0).mean() > 0.9
 
@@ -226,8 +187,8 @@ def test_overscan_covers_the_border(device: str) -> None:
     """2 pixels a frame enter at one side: they know nothing without overscan, and earlier tests within it."""
     known = {}
     for overscan in (0.0, 0.1):
-        session = open_session(panning(2.0), device)
-        walk(session, technique(overscan=overscan, blur=1000.0), 6)
+        session = open_session(small.box_on_ground(SUN, small.sideways(2.0, SIZE[1])), device)
+        render_frames(session, small_technique(NAME, overscan=overscan, blur=1000.0), 6)
         n = remembered(session)
         margin = session.margin(overscan)
         frame = n[margin[1] : n.shape[0] - margin[1], margin[0] : n.shape[1] - margin[0]]
@@ -242,12 +203,12 @@ def test_a_camera_cut_starts_anew(device: str) -> None:
     scene = small.cluttered(SUN)
     scene = replace(scene, camera=lambda frame: small.camera((2.0, 1.5, 2.0), (2.5, 0.0, 2.5)) if frame < 8 else there)
     session = open_session(scene, device)
-    after = walk(session, technique(), 9)[-1]
+    after = render_frames(session, small_technique(NAME), 9)[-1]
     fresh = open_session(scene, device)
     fresh.begin(8)
     fresh.count = 8
     assert_equal = np.testing.assert_array_equal
-    assert_equal(after.visibility, fresh.render(technique()).visibility)
+    assert_equal(after.visibility, fresh.render(small_technique(NAME)).visibility)
     assert 0.02 < np.nanmean(after.visibility == 0.0) < 0.98
 
 
@@ -267,7 +228,7 @@ def jumping(frame: int, offset: float = 200.0) -> Scene:
 
 
 def test_a_shadow_that_leaves_leaves_no_trail(device: str) -> None:
-    frames = walk(open_session(jumping(12), device), technique(), 13)
+    frames = walk(jumping(12), device, NAME, 13)
     assert np.nanmean(frames[11].visibility < 0.5) > 0.015
     np.testing.assert_array_equal(frames[12].visibility[np.isfinite(frames[12].visibility)], 1.0)
 
@@ -276,8 +237,8 @@ def test_a_shadow_that_leaves_leaves_no_trail(device: str) -> None:
 def test_a_trail_has_the_stated_sign_and_length(params: dict[str, Any], device: str) -> None:
     """``movers: keep``: too dark where the shadow was, too light where it is, half of the shadow after a memory or so, a tenth after three."""
     scene, memory = jumping(24, 2.5), 8.0
-    frames = walk(open_session(scene, device), technique(movers="keep", memory=memory, **params), 24 + 24)
-    before, after = truth(scene, device, 0), truth(scene, device, 24)
+    frames = walk(scene, device, NAME, 24 + 24, movers="keep", memory=memory, **params)
+    before, after = true_visibility(scene, device, 0, centre=True), true_visibility(scene, device, 24, centre=True)
     was, now = (before < 0.5) & (after > 0.5), (before > 0.5) & (after < 0.5)
     assert was.sum() > 50 and now.sum() > 50
     trail = [(f.visibility[was].mean() - 1.0, f.visibility[now].mean()) for f in frames[24:]]
@@ -300,7 +261,7 @@ def test_a_mover_moves_what_it_shadows_only(device: str) -> None:
         "mover", small.box((-4.0, 1.0, 2.5), (0.5, 0.5, 0.5)), receives=False, object_to_ws=slide, moving=True
     )
     both = replace(scene, meshes=(*scene.meshes, mover))
-    alone, beside = (walk(open_session(s, device), technique(resolution=64), 24)[-1] for s in (scene, both))
+    alone, beside = (walk(s, device, NAME, 24, resolution=64)[-1] for s in (scene, both))
     far = np.isfinite(alone.visibility) & (alone.world_position[..., 0] > -2.0)
     edge = far & (alone.visibility > 0.0) & (alone.visibility < 1.0)
     assert edge.sum() > 20
@@ -312,7 +273,7 @@ def test_a_mover_moves_what_it_shadows_only(device: str) -> None:
 def remembered_shadow(scene: Scene, device: str) -> np.ndarray:
     """Receiver pixels that remember nothing after 24 frames."""
     session = open_session(scene, device)
-    walk(session, technique(), 24)
+    render_frames(session, small_technique(NAME), 24)
     return (remembered(session) == 0.0) & (session.gbuffer(0.05).mesh.numpy() == 0)
 
 
@@ -321,7 +282,7 @@ def remembered_shadow(scene: Scene, device: str) -> np.ndarray:
 
 def test_nothing_casts(device: str) -> None:
     scene = small.scene([small.mesh("ground", small.plane(8.0), casts=False)], SUN)
-    for result in walk(open_session(scene, device), technique(), 2):
+    for result in walk(scene, device, NAME, 2):
         assert (result.visibility[np.isfinite(result.visibility)] == 1.0).all()
 
 
@@ -342,4 +303,4 @@ def test_nothing_casts(device: str) -> None:
 )
 def test_wrong_parameters_are_named(params: dict[str, Any], message: str) -> None:
     with pytest.raises(ValidationError, match=message):
-        find("tc_hard").Params(**params)
+        find(NAME).Params(**params)

@@ -11,48 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 import small_scenes as small
+from compare import rmse
 from pydantic import ValidationError
+from sessions import SIZE, open_session, small_technique, true_visibility, walk
 
 from algorithms.plugins import find
-from wkernels.frame.session import FrameResult, Session
+from wkernels.frame.session import FrameResult
 from wkernels.sampling.point_sets import halton
-from wkernels.scene.geometry import Geometry
 from wkernels.scene.lights import Light, RectangleLight
-from wkernels.scene.model import Scene
 
-SIZE = (96, 72)
+NAME = "tc_soft_paper"
 LAMP = small.light("rectangle", (2.0, 8.0, 1.0), 2.0)
 SAMPLING = {"start": "sample", "filter": False}
-
-
-def open_session(scene: Scene, device: str, size: tuple[int, int] = SIZE, **options: Any) -> Session:
-    return Session(Geometry(scene, device), width=size[0], height=size[1], device=device, **options)
-
-
-def technique(name: str = "tc_soft_paper", **params: Any) -> Any:
-    plugin = find(name)
-    return plugin(plugin.Params(**{"resolution": 256, **params}))
-
-
-def walk(scene: Scene, device: str, frames: int, size: tuple[int, int] = SIZE, **params: Any) -> list[FrameResult]:
-    """Frames 0 to ``frames`` - 1 of one session."""
-    session, made, out = open_session(scene, device, size), technique(**params), []
-    for index in range(frames):
-        session.begin(index)
-        out.append(session.render(made))
-        session.advance()
-    return out
-
-
-def truth(scene: Scene, device: str, frame: int = 0, samples: int = 256, size: tuple[int, int] = SIZE) -> np.ndarray:
-    plugin = find("reference_multisample")
-    session = open_session(scene, device, size)
-    session.begin(frame)
-    return session.render(plugin(plugin.Params(samples=samples))).visibility
-
-
-def rmse(actual: np.ndarray, expected: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean((actual - expected) ** 2)))
 
 
 def slide(offset: Callable[[int], float]) -> Callable[[int], np.ndarray]:
@@ -66,13 +36,6 @@ def slide(offset: Callable[[int], float]) -> Callable[[int], np.ndarray]:
     return pose
 
 
-def shifted(scene: Scene, mesh: int, offset: Callable[[int], float]) -> Scene:
-    """The scene with one mesh that moves along x."""
-    meshes = list(scene.meshes)
-    meshes[mesh] = replace(meshes[mesh], object_to_ws=slide(offset), moving=True)
-    return replace(scene, meshes=tuple(meshes))
-
-
 # ---- limits and convergence ---------------------------------------------------------------------------------------------
 
 
@@ -80,29 +43,29 @@ def shifted(scene: Scene, mesh: int, offset: Callable[[int], float]) -> Scene:
 @pytest.mark.parametrize("buffer", ["float32", "float16"])
 def test_sampling_alone_equals_multi_shadow_map(kind: str, buffer: str, device: str) -> None:
     scene = small.cluttered(small.light(kind, (1.0, 8.0, 0.5)))
-    ours = walk(scene, device, 16, resolution=128, buffer=buffer, overscan=0.0, **SAMPLING)[-1]
-    maps = open_session(scene, device).render(technique("multi_shadow_map", resolution=128, samples=16))
+    ours = walk(scene, device, NAME, 16, resolution=128, buffer=buffer, overscan=0.0, **SAMPLING)[-1]
+    maps = open_session(scene, device).render(small_technique("multi_shadow_map", resolution=128, samples=16))
     np.testing.assert_allclose(ours.visibility, maps.visibility, atol=1e-6)
     np.testing.assert_allclose(ours.standard_error, maps.standard_error, atol=1e-5)
     assert len(np.unique(maps.visibility[np.isfinite(maps.visibility)])) > 8
     # an overscanned G-buffer rounds its positions differently: a comparison may flip where a texel ends
-    wider = walk(scene, device, 16, resolution=128, buffer=buffer, **SAMPLING)[-1]
+    wider = walk(scene, device, NAME, 16, resolution=128, buffer=buffer, **SAMPLING)[-1]
     assert np.nanmean(np.abs(wider.visibility - maps.visibility) > 1e-6) < 0.02
 
 
 def test_sampling_alone_weights_a_textured_light(device: str) -> None:
     assert isinstance(LAMP, RectangleLight)
     scene = small.box_on_ground(replace(LAMP, texture=np.array([[0.0, 3.0], [1.0, 2.0]])))
-    ours = walk(scene, device, 8, overscan=0.0, **SAMPLING)[-1]
-    maps = open_session(scene, device).render(technique("multi_shadow_map", samples=8))
+    ours = walk(scene, device, NAME, 8, overscan=0.0, **SAMPLING)[-1]
+    maps = open_session(scene, device).render(small_technique("multi_shadow_map", samples=8))
     np.testing.assert_allclose(ours.visibility, maps.visibility, atol=1e-6)
 
 
 @pytest.mark.parametrize("smooth", [True, False])
 def test_converges_to_the_reference(smooth: bool, device: str) -> None:
     scene = small.box_on_ground(LAMP)
-    expected = truth(scene, device, samples=1024)
-    frames = walk(scene, device, 256, resolution=1024, filter=smooth)
+    expected = true_visibility(scene, device, samples=1024)
+    frames = walk(scene, device, NAME, 256, resolution=1024, filter=smooth)
     error = [rmse(frames[n - 1].visibility, expected) for n in (16, 64, 256)]
     assert error[1] < 0.5 * error[0] and error[2] < 0.5 * error[1], error  # slope 1/2 or better
     print("rmse at N = 16, 64, 256:", [round(e, 5) for e in error])
@@ -111,8 +74,8 @@ def test_converges_to_the_reference(smooth: bool, device: str) -> None:
 def test_the_published_filter_width_keeps_its_bias(device: str) -> None:
     """As wide as the penumbra to the end, it blurs what is above t, where the narrowing one follows the samples."""
     scene = small.box_on_ground(LAMP)
-    expected = truth(scene, device, samples=1024)
-    ours, published = (walk(scene, device, 64, filter_width=width) for width in ("error", "penumbra"))
+    expected = true_visibility(scene, device, samples=1024)
+    ours, published = (walk(scene, device, NAME, 64, filter_width=width) for width in ("error", "penumbra"))
     np.testing.assert_array_equal(ours[0].visibility, published[0].visibility)  # new pixels: both the whole penumbra
     assert rmse(ours[63].visibility, expected) < 0.7 * rmse(published[63].visibility, expected)
 
@@ -120,8 +83,8 @@ def test_the_published_filter_width_keeps_its_bias(device: str) -> None:
 def test_filter_ends_where_the_standard_error_falls_below_the_threshold(device: str) -> None:
     """t = 1/10 is reached for every psi at n = 26: from there on the image is that of sampling alone."""
     scene = small.box_on_ground(LAMP)
-    smoothed = walk(scene, device, 30, error_threshold=0.1)
-    plain = walk(scene, device, 30, filter=False)
+    smoothed = walk(scene, device, NAME, 30, error_threshold=0.1)
+    plain = walk(scene, device, NAME, 30, filter=False)
     for n in (2, 10):
         assert not np.array_equal(smoothed[n - 1].visibility, plain[n - 1].visibility, equal_nan=True)
         confident = plain[n - 1].standard_error <= 0.1
@@ -137,10 +100,10 @@ def test_filter_steadies_the_first_frames(device: str) -> None:
     The depth range is wider than by default, as a pixel of this small image spans 1 % of the depth of the ground.
     """
     scene = small.box_on_ground(LAMP)
-    expected = truth(scene, device)
-    ours = walk(scene, device, 8, filter_depth_range=0.05)
-    published = walk(scene, device, 8, filter_depth_range=0.05, filter_width="penumbra")
-    sampled = walk(scene, device, 8, **SAMPLING)
+    expected = true_visibility(scene, device)
+    ours = walk(scene, device, NAME, 8, filter_depth_range=0.05)
+    published = walk(scene, device, NAME, 8, filter_depth_range=0.05, filter_width="penumbra")
+    sampled = walk(scene, device, NAME, 8, **SAMPLING)
 
     def flicker(frames: list[FrameResult]) -> float:
         return float(np.mean([rmse(b.visibility, a.visibility) for a, b in pairwise(frames)]))
@@ -148,11 +111,11 @@ def test_filter_steadies_the_first_frames(device: str) -> None:
     assert flicker(published) < 0.6 * flicker(sampled)
     assert flicker(ours) < 0.7 * flicker(sampled)  # narrower from the sixth frame on
     assert rmse(published[0].visibility, expected) < 0.8 * rmse(sampled[0].visibility, expected)
-    assert flicker(walk(scene, device, 8, start_weight=4.0)) < 0.6 * flicker(sampled)
+    assert flicker(walk(scene, device, NAME, 8, start_weight=4.0)) < 0.6 * flicker(sampled)
 
 
 def test_standard_error_is_that_of_the_samples(device: str) -> None:
-    frames = walk(small.box_on_ground(LAMP), device, 9, filter=False)
+    frames = walk(small.box_on_ground(LAMP), device, NAME, 9, filter=False)
     receives = np.isfinite(frames[0].visibility)
     assert (frames[0].standard_error[receives] == 1.0).all()
     psi = 1.0 - frames[8].visibility[receives].astype(float)
@@ -170,9 +133,9 @@ def test_first_frame_is_pcss_from_the_first_sample(kind: str, device: str) -> No
     lamp = small.light(kind, (1.0, 8.0, 0.5), 2.0)
     offset = lamp.sample(halton(1))[0, :3] - lamp.centre[:3]
     assert np.linalg.norm(offset) > 0.1
-    ours = walk(small.cluttered(lamp), device, 1, filter=False, overscan=0.0)[0]
+    ours = walk(small.cluttered(lamp), device, NAME, 1, filter=False, overscan=0.0)[0]
     scene = small.cluttered(lamp.moved(offset))
-    pcss = open_session(scene, device).render(technique("pcss", kernel="box", bilinear=False)).visibility
+    pcss = open_session(scene, device).render(small_technique("pcss", kernel="box", bilinear=False)).visibility
     assert len(np.unique(pcss[np.isfinite(pcss)])) > 8
     # the moved light is rounded once more, which moves its map by a rounding error
     assert np.nanmean(np.abs(ours.visibility - pcss) > 1e-6) < 0.005
@@ -180,7 +143,7 @@ def test_first_frame_is_pcss_from_the_first_sample(kind: str, device: str) -> No
 
 def test_start_weight_counts_as_so_many_samples(device: str) -> None:
     scene = small.box_on_ground(LAMP)
-    light, heavy = (walk(scene, device, 2, filter=False, start_weight=w, overscan=0.0) for w in (1.0, 4.0))
+    light, heavy = (walk(scene, device, NAME, 2, filter=False, start_weight=w, overscan=0.0) for w in (1.0, 4.0))
     np.testing.assert_array_equal(light[0].visibility, heavy[0].visibility)
     start = light[0].visibility
     second = 2.0 * light[1].visibility - start  # the test of the second frame, 0 or 1
@@ -194,28 +157,28 @@ def test_start_weight_counts_as_so_many_samples(device: str) -> None:
 
 def test_a_shadow_that_leaves_leaves_no_trail(device: str) -> None:
     """The box hovers for 12 frames, then jumps out of the light: one frame later the ground is wholly lit."""
-    scene = shifted(small.box_on_ground(LAMP), 1, lambda frame: 0.0 if frame < 12 else 200.0)
+    scene = small.moved(small.box_on_ground(LAMP), 1, lambda frame: 0.0 if frame < 12 else 200.0)
     for weight in (1.0, 4.0):
-        frames = walk(scene, device, 13, start_weight=weight)
+        frames = walk(scene, device, NAME, 13, start_weight=weight)
         assert np.nanmean(frames[11].visibility < 0.5) > 0.02
         np.testing.assert_array_equal(frames[12].visibility[np.isfinite(frames[12].visibility)], 1.0)
 
 
 def test_a_moving_shadow_keeps_up(device: str) -> None:
     """No worse than a start in every frame, and nothing is left where the box was before."""
-    scene = shifted(small.box_on_ground(LAMP), 1, lambda frame: 0.12 * frame - 1.5)
-    forgetful, made = open_session(scene, device), technique()
+    scene = small.moved(small.box_on_ground(LAMP), 1, lambda frame: 0.12 * frame - 1.5)
+    forgetful, made = open_session(scene, device), small_technique(NAME)
     ours, started = [], []
-    for index, result in enumerate(walk(scene, device, 24)):
+    for index, result in enumerate(walk(scene, device, NAME, 24)):
         forgetful.reset()
         forgetful.count = index  # the same sample of the light, and no past
         forgetful.begin(index)
-        expected = truth(scene, device, index, samples=64)
+        expected = true_visibility(scene, device, index, samples=64)
         ours.append(rmse(result.visibility, expected))
         started.append(rmse(forgetful.render(made).visibility, expected))
     assert ours[0] == started[0] and ours[1:] != started[1:]
     assert np.mean(ours) < 1.1 * np.mean(started), (np.mean(ours), np.mean(started))
-    now_lit = (truth(scene, device, 0) < 0.5) & (expected == 1.0)
+    now_lit = (true_visibility(scene, device, 0) < 0.5) & (expected == 1.0)
     assert now_lit.sum() > 20
     assert np.nanmin(result.visibility[now_lit]) > 0.95
 
@@ -223,8 +186,8 @@ def test_a_moving_shadow_keeps_up(device: str) -> None:
 def test_static_shadows_keep_their_history_beside_a_mover(device: str) -> None:
     scene = small.box_on_ground(LAMP)
     mover = small.mesh("mover", small.box((-4.0, 1.0, 2.5), (0.5, 0.5, 0.5)), receives=False)
-    both = shifted(replace(scene, meshes=(*scene.meshes, mover)), 2, lambda frame: 0.05 * frame)
-    alone, beside = walk(scene, device, 24, filter=False)[-1], walk(both, device, 24, filter=False)[-1]
+    both = small.moved(replace(scene, meshes=(*scene.meshes, mover)), 2, lambda frame: 0.05 * frame)
+    alone, beside = walk(scene, device, NAME, 24, filter=False)[-1], walk(both, device, NAME, 24, filter=False)[-1]
     assert np.nanmean(beside.standard_error == 1.0) > 0.002, "the mover's shadow starts anew in every frame"
     far = np.isfinite(alone.visibility) & (alone.world_position[..., 0] > -2.0)
     penumbra = far & (alone.visibility > 0.0) & (alone.visibility < 1.0)
@@ -246,44 +209,34 @@ def test_a_moving_receiver_keeps_history_only_within_its_plane(rises: bool, devi
         return out
 
     moving = replace(scene, meshes=(*scene.meshes, replace(tray, object_to_ws=rise if rises else pose, moving=True)))
-    result = walk(moving, device, 24, filter=False)[-1]
+    result = walk(moving, device, NAME, 24, filter=False)[-1]
     is_new = result.standard_error[np.isfinite(result.visibility)] == 1.0
     if rises:
         assert is_new.all()
     else:
         assert is_new.mean() < 0.02, "only what the edge of the tray uncovers is new"
-        assert rmse(result.visibility, truth(moving, device, 23)) < 0.02
+        assert rmse(result.visibility, true_visibility(moving, device, 23)) < 0.02
 
 
 # ---- cameras ------------------------------------------------------------------------------------------------------------
 
 
-def panning(pixels: float) -> Scene:
-    """An eye that moves sideways by so many pixels a frame, seen at the target."""
-    pixel = 2.0 * 10.0 * np.tan(np.radians(25.0)) / SIZE[1]
-
-    def path(frame: int) -> Any:
-        x = pixel * pixels * (frame - 20)
-        return small.camera((x, 6.0, 8.0), (x, 0.0, 0.0))
-
-    return small.box_on_ground(LAMP, path)
-
-
 def test_history_follows_a_slow_eye(device: str) -> None:
     """At 0.3 pixels a frame the nearest texel is always the same one: history sticks to the screen."""
-    expected = truth(panning(0.3), device, 39)
+    panning = small.box_on_ground(LAMP, small.sideways(0.3, SIZE[1]))
+    expected = true_visibility(panning, device, 39)
     error = {
-        h: rmse(walk(panning(0.3), device, 40, filter=False, history=h)[-1].visibility, expected)
+        h: rmse(walk(panning, device, NAME, 40, filter=False, history=h)[-1].visibility, expected)
         for h in ("bilinear", "nearest")
     }
-    started = rmse(truth(panning(0.3), device, 39, samples=16), expected)
+    started = rmse(true_visibility(panning, device, 39, samples=16), expected)
     assert error["bilinear"] < 2.0 * started, error
     assert error["nearest"] > 3.0 * error["bilinear"], error
 
 
 def test_slanted_ground_keeps_its_history(device: str) -> None:
     """The depth of a slanted plane differs by far more than epsilon within a pixel, and still no point is new."""
-    frames = walk(panning(0.3), device, 6, depth_epsilon=1e-5)
+    frames = walk(small.box_on_ground(LAMP, small.sideways(0.3, SIZE[1])), device, NAME, 6, depth_epsilon=1e-5)
     receives = np.isfinite(frames[-1].visibility)
     assert (frames[-1].standard_error[receives] < 1.0).mean() > 0.99
 
@@ -294,7 +247,9 @@ def test_overscan_covers_the_border(buffer: str, device: str) -> None:
     size = SIZE
     new = {}
     for overscan in (0.0, 0.1):
-        result = walk(panning(2.0), device, 3, size, overscan=overscan, buffer=buffer)[-1]
+        result = walk(
+            small.box_on_ground(LAMP, small.sideways(2.0, SIZE[1])), device, NAME, 3, overscan=overscan, buffer=buffer
+        )[-1]
         assert result.visibility.shape == (size[1], size[0])
         receives = np.isfinite(result.visibility)
         new[overscan] = ((result.standard_error == 1.0) & receives).sum() / receives.sum()
@@ -304,14 +259,8 @@ def test_overscan_covers_the_border(buffer: str, device: str) -> None:
 
 def test_a_rapid_eye_starts_anew_where_nothing_is_known(device: str) -> None:
     """A turn of 20 degrees a frame: what was seen before goes on, the rest starts, and nothing is undefined."""
-
-    def path(frame: int) -> Any:
-        angle = np.radians(20.0) * frame
-        return small.camera((8.0 * np.sin(angle), 6.0, 8.0 * np.cos(angle)))
-
-    scene = small.cluttered(LAMP)
-    scene = replace(scene, camera=path)
-    frames = walk(scene, device, 5)
+    scene = replace(small.cluttered(LAMP), camera=small.circling(20.0))
+    frames = walk(scene, device, NAME, 5)
     for index, result in enumerate(frames[1:], 1):
         receives = np.isfinite(result.visibility)
         is_new = (result.standard_error == 1.0)[receives]
@@ -319,7 +268,7 @@ def test_a_rapid_eye_starts_anew_where_nothing_is_known(device: str) -> None:
         assert (
             receives.any() and (result.visibility[receives] >= 0.0).all() and (result.visibility[receives] <= 1.0).all()
         )
-        assert rmse(result.visibility, truth(scene, device, index, samples=64)) < 0.15
+        assert rmse(result.visibility, true_visibility(scene, device, index, samples=64)) < 0.15
 
 
 # ---- input --------------------------------------------------------------------------------------------------------------
@@ -327,7 +276,7 @@ def test_a_rapid_eye_starts_anew_where_nothing_is_known(device: str) -> None:
 
 def test_nothing_casts(device: str) -> None:
     scene = small.scene([small.mesh("ground", small.plane(8.0), casts=False)], LAMP)
-    for result in walk(scene, device, 2):
+    for result in walk(scene, device, NAME, 2):
         receives = np.isfinite(result.visibility)
         assert receives.any() and (result.visibility[receives] == 1.0).all()
         assert (result.standard_error[receives] == 0.0).all()
@@ -339,8 +288,8 @@ def test_nothing_casts(device: str) -> None:
 )
 def test_every_light_with_an_area_converges(lamp: Light, device: str) -> None:
     scene = small.box_on_ground(lamp)
-    frames = walk(scene, device, 48, (48, 36), filter=False)
-    expected = truth(scene, device, size=(48, 36))
+    frames = walk(scene, device, NAME, 48, {"size": (48, 36)}, filter=False)
+    expected = true_visibility(scene, device, size=(48, 36))
     assert 0.01 < np.nanmean((expected > 0.02) & (expected < 0.98))
     assert rmse(frames[-1].visibility, expected) < 0.02
 

@@ -13,8 +13,9 @@ from honest import Honest
 from pydantic import BaseModel, ConfigDict
 from rig import CHECKS
 
-from algorithms.technique import Limit, Needs, Params, Technique, setting
+from algorithms.technique import ExpectedFailure, Limit, Needs, Params, Technique, setting
 from wkernels.frame.session import Session as Frame
+from wkernels.workspace.products import Product
 
 Spoil = Callable[[np.ndarray, Frame], np.ndarray]
 BROKEN: list[tuple[str, type[Technique]]] = []
@@ -73,6 +74,11 @@ class Ignored(Params):
     shape: str = setting("round", "a choice", unit="name")
 
 
+def failing(check: str, message: str, because: str = "by nature") -> tuple[ExpectedFailure]:
+    """A declaration that a check fails."""
+    return (ExpectedFailure(check=check, because=because, message=message),)
+
+
 broken("file_name_and_class_agree", "named unlike its file", name="other")
 broken("documentation_names_papers_and_artefacts", "says nothing", documentation=classmethod(lambda cls: "Shadows."))
 broken("documentation_names_papers_and_artefacts", "a paper that the text does not name", paper=("crow1984",))
@@ -85,7 +91,11 @@ broken("wrong_params_are_refused", "a wrong choice is ignored", Params=Ignored)
 broken("declarations_resolve", "equals nothing", limits=(Limit(equals="no_such_technique"),))
 broken("declarations_resolve", "impossible parameters", limits=(Limit(equals="shadow_map", params={"samples": 0}),))
 broken("declarations_resolve", "a limit as wide as a door", limits=(Limit(equals="shadow_map", flips=0.5),))
-broken("declarations_resolve", "fails a check that does not exist", expected_failures={"no_such_check": "because"})
+broken("declarations_resolve", "fails a check that does not exist", expected_failures=failing("no_such_check", "dark"))
+broken("declarations_resolve", "fails without a reason", expected_failures=failing("image_is_visibility", "dark", " "))
+broken("pulls_what_it_declares", "pulls light samples in silence", products=(Product.G_BUFFER, Product.RAY_STRUCTURE))
+broken("pulls_what_it_declares", "declares a map that it never pulls", products=(*Honest.products, Product.LIGHT_MAP))
+broken("declarations_resolve", "fails with any message", expected_failures=failing("image_is_visibility", ".*"))
 
 
 # ---- images ---------------------------------------------------------------------------------------------------------
@@ -103,6 +113,10 @@ def write_to_geometry(v: np.ndarray, frame: Frame) -> np.ndarray:
 
 def shift_one_pixel(v: np.ndarray, frame: Frame) -> np.ndarray:
     return np.roll(v, 2, axis=1)
+
+
+def leak_and_darken(v: np.ndarray, frame: Frame) -> np.ndarray:
+    return np.maximum(v**1.5, 0.005)
 
 
 def nan_in_corner(v: np.ndarray, frame: Frame) -> np.ndarray:
@@ -165,6 +179,10 @@ broken("bias_sign_is_as_declared", "darker", lambda v, frame: v**1.5)
 broken("bias_sign_is_as_declared", "lighter", lambda v, frame: v**0.6)
 broken("bias_sign_is_as_declared", "declared lighter, but darker", lambda v, frame: v**1.5, bias_sign="lighter")
 broken("bias_sign_is_as_declared", "declared darker, but lighter", lambda v, frame: v**0.6, bias_sign="darker")
+broken("bias_sign_is_as_declared", "declared lighter, but neither", lambda v, frame: v, bias_sign="lighter")
+broken("bias_sign_is_as_declared", "declared darker, but neither", lambda v, frame: v, bias_sign="darker")
+broken("bias_sign_is_as_declared", "leaks where two casters hide the light", lambda v, frame: np.maximum(v, 0.005))
+broken("bias_sign_is_as_declared", "lighter in one, darker in the other", leak_and_darken, bias_sign="lighter")
 
 
 # ---- sequences ------------------------------------------------------------------------------------------------------

@@ -13,11 +13,12 @@ from rig import (
     is_hard,
     kinds_of,
     lamp,
-    open_session,
-    run_frames,
+    render,
     small_params,
+    small_session,
     truth,
 )
+from sessions import render_frames
 
 from algorithms.technique import Technique
 from wkernels.scene.model import Camera, Scene
@@ -44,14 +45,12 @@ def moving_scene(technique: type[Technique]) -> Scene:
 def earlier_frames_leave_no_trace(technique: type[Technique], device: str) -> None:
     """After a walk through a moving scene a frame has the bits that it has on its own."""
     scene = moving_scene(technique)
-    walked = open_session(scene, device)
-    after_a_walk = run_frames(technique(small_params(technique)), walked, 0, 4)
-    alone = run_frames(technique(small_params(technique)), open_session(scene, device), 3, 1)
+    walked = small_session(scene, device)
+    after_a_walk = render_frames(walked, technique(small_params(technique)), 4)[-1]
+    (alone,) = render_frames(small_session(scene, device), technique(small_params(technique)), 1, 3)
     np.testing.assert_array_equal(after_a_walk.visibility, alone.visibility)
     np.testing.assert_array_equal(after_a_walk.standard_error, alone.standard_error)
-    still = run_frames(
-        technique(small_params(technique)), open_session(replace(scene, camera=lambda i: scene.camera(0)), device), 0, 1
-    )
+    still = render(technique, replace(scene, camera=lambda i: scene.camera(0)), device)
     assert np.nansum(np.abs(np.nan_to_num(still.visibility) - np.nan_to_num(alone.visibility))) > 1.0
 
 
@@ -59,13 +58,13 @@ def earlier_frames_leave_no_trace(technique: type[Technique], device: str) -> No
 def a_still_view_converges(technique: type[Technique], device: str) -> None:
     kind = kinds_of(technique)[0]
     expected = truth(technique, small_scenes.box_on_ground, device, kind)
-    session = open_session(small_scenes.box_on_ground(small_scenes.light(kind)), device)
+    session = small_session(small_scenes.box_on_ground(small_scenes.light(kind)), device)
     # with texels much smaller than pixels a hard shadow has nothing to converge to but the pixel that lies on its edge
     made = technique(small_params(technique, resolution=64 if is_hard(technique) else 512))
     rmse: dict[int, float] = {}
     previous = np.zeros(0)
     for frame in range(128):
-        visibility = run_frames(made, session, frame, 1).visibility
+        visibility = render_frames(session, made, 1, frame)[0].visibility
         if frame + 1 in (4, 128):
             rmse[frame + 1] = float(np.sqrt(np.nanmean((visibility - expected) ** 2)))
         if frame == 127:
@@ -90,10 +89,10 @@ def disoccluded_pixels_ignore_history(technique: type[Technique], device: str) -
     images, pasts = [], []
     for x in (-4.7, 4.7):
         path = [looking_down(x, 0.0)] * 6 + [looking_down(1.4, 0.1)]
-        session = open_session(replace(scene, camera=lambda frame, path=path: path[min(frame, 6)]), device)
+        session = small_session(replace(scene, camera=lambda frame, path=path: path[min(frame, 6)]), device)
         made = technique(small_params(technique))
-        pasts.append(run_frames(made, session, 0, 6).visibility)
-        images.append(run_frames(made, session, 6, 1).visibility)
+        pasts.append(render_frames(session, made, 6)[-1].visibility)
+        images.append(render_frames(session, made, 1, 6)[-1].visibility)
     assert np.nanmean(pasts[0]) < 0.3 and np.nanmean(pasts[1]) > 0.9, "the two pasts must differ"
     assert np.nanmin(images[0]) < 0.2 and np.nanmax(images[0]) > 0.8, "the new place must have light and shadow"
     np.testing.assert_array_equal(images[0], images[1])
@@ -102,11 +101,11 @@ def disoccluded_pixels_ignore_history(technique: type[Technique], device: str) -
 @check(has_history)
 def a_reset_forgets_everything(technique: type[Technique], device: str) -> None:
     scene = small_scenes.box_on_ground(lamp(technique))
-    session = open_session(scene, device)
+    session = small_session(scene, device)
     made = technique(small_params(technique))
-    run_frames(made, session, 0, 5)
+    render_frames(session, made, 5)
     session.reset()
-    again = run_frames(made, session, 0, 2)
-    fresh = run_frames(technique(small_params(technique)), open_session(scene, device), 0, 2)
+    again = render_frames(session, made, 2)[-1]
+    fresh = render(technique, scene, device, frames=2)
     np.testing.assert_array_equal(again.visibility, fresh.visibility)
     np.testing.assert_array_equal(again.standard_error, fresh.standard_error)

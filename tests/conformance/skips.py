@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import small_scenes
 from over_time import moving_scene
-from rig import HEIGHT, WIDTH, check, kinds_of, lamp, open_session, scaled, scenes_for, small_params, takes_any_mesh
+from rig import SIZE, check, kinds_of, lamp, scaled, scenes_for, small_params, small_session, takes_any_mesh
+from sessions import render_frames
 
 from algorithms.technique import Technique
 from wkernels.scene.model import Camera, Scene
@@ -104,12 +105,10 @@ SCENES: dict[str, Callable[[type[Technique]], Scene]] = {
 
 def images(technique: type[Technique], scene: Scene, device: str, skips: bool) -> Iterator[tuple[np.ndarray, ...]]:
     """Visibility and standard error of each frame of ``WALK``."""
-    session = open_session(scene, device, size=(WIDTH // 2, HEIGHT // 2), skips=skips)
+    session = small_session(scene, device, size=(SIZE[0] // 2, SIZE[1] // 2), skips=skips)
     made = technique(small_params(technique, samples=4))
     for index in WALK:
-        session.begin(index)
-        result = session.render(made)
-        session.advance()
+        (result,) = render_frames(session, made, 1, index)
         assert skips or not result.left_out, f"left out with skips off: {result.left_out}"
         error = result.standard_error
         yield result.visibility, np.zeros(0) if error is None else error

@@ -20,7 +20,8 @@ from wkernels.device.workers import Team, available_cpus
 TILES_PER_THREAD = 6  # enough for uneven tiles to even out, few enough that the cost of launching stays small
 SHORTEST_TILE_S = 20e-6
 WORTH_SHARING_S = 60e-6
-"""A shorter launch runs on the calling thread, as handing a part of it over costs 10 to 20 us. 0 shares all."""
+"""A shorter launch runs on the calling thread, as handing a part of it over costs 10 to 20 us. 0 cuts all
+into tiles, even for one thread."""
 _cell_s: dict[tuple[wp.Kernel, int], float] = {}
 """How long a cell takes on one thread, by kernel and binary order of magnitude of the grid; decides who runs a launch,
 never what is computed."""
@@ -87,7 +88,7 @@ def launch(
     command = wp.launch(kernel, dim=shape, inputs=arguments, device="cpu", record_cmd=True)
     expected_s = _cell_s[key] * cells if key in _cell_s else math.inf
     begin = time.perf_counter()
-    if threads <= 1 or rows == 1 or (WORTH_SHARING_S > 0.0 and expected_s < WORTH_SHARING_S):
+    if rows == 1 or (WORTH_SHARING_S > 0.0 and (threads <= 1 or expected_s < WORTH_SHARING_S)):
         command.launch()
         _cell_s[key] = (time.perf_counter() - begin) / cells
         return
