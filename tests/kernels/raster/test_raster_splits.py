@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import small_scenes as small
 import warp as wp
-from test_raster_many import cube_faces, on_device, sun_samples
+from drawing import cube_faces, on_device, sun_samples
 
 import wkernels.raster as raster
 from algorithms.projections.composition import compose
