@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import small_scenes as small
+from compare import rmse
 from filtering_sessions import render, session, technique
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
@@ -118,11 +119,8 @@ def test_it_is_wrong_by_design() -> None:
     """Expected artefact: the rmse is several times a shadow map's, and right in the mean position all the same."""
     scene = small.box_on_ground(LIGHTS["point"])
     rays = render(scene, "ray_cast_point_shadow").visibility
-    rmse = {
-        name: float(np.sqrt(np.nanmean((render(scene, name).visibility - rays) ** 2)))
-        for name in ("blob_shadows", "shadow_map")
-    }
-    assert 0.03 < rmse["blob_shadows"] < 0.25 and rmse["blob_shadows"] > 2.0 * rmse["shadow_map"], rmse
+    error = {name: rmse(render(scene, name).visibility, rays) for name in ("blob_shadows", "shadow_map")}
+    assert 0.03 < error["blob_shadows"] < 0.25 and error["blob_shadows"] > 2.0 * error["shadow_map"], error
 
 
 def test_blobs_follow_what_moves_and_are_kept_else() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import small_scenes as small
+from compare import rmse
 from filtering_sessions import render, technique
 
 from wkernels.scene.lights import DirectionalLight
@@ -33,11 +34,11 @@ def test_steps_on_a_steep_wall_are_hidden() -> None:
     scene = steep_wall(0.04)
     size = (160, 120)
     rays = render(scene, "ray_cast_point_shadow", size=size).visibility
-    rmse = {}
+    error = {}
     for width in (0.0, 2.0, 4.0):
         image = render(scene, NAME, resolution=64, half_width=width, taps=32, size=size).visibility
-        rmse[width] = float(np.sqrt(np.nanmean((image - rays) ** 2)))
-    assert rmse[0.0] > 0.05 and rmse[2.0] < 0.92 * rmse[0.0] and rmse[4.0] > rmse[2.0], rmse
+        error[width] = rmse(image, rays)
+    assert error[0.0] > 0.05 and error[2.0] < 0.92 * error[0.0] and error[4.0] > error[2.0], error
 
 
 def test_only_steep_surfaces_are_smoothed_where_a_cosine_says_so() -> None:

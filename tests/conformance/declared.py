@@ -10,14 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
-from rig import CHECKS, check, lamp, render, scenes_for, small_params
+from rig import CHECKS, check, lamp, render, scenes_for, small_params, small_session
 from small_scenes import box_on_ground
 
 from algorithms.plugins import ROOT, file_of, load_all
 from algorithms.technique import Technique
 from wkernels.errors import InputError
-from wkernels.frame.session import Session
-from wkernels.scene.geometry import Geometry
 from wkernels.workspace.products import Product
 
 BIBLIOGRAPHY = Path(__file__).parents[2] / "references.bib"
@@ -147,7 +145,7 @@ def declarations_resolve(technique: type[Technique], device: str) -> None:
 def pulls_what_it_declares(technique: type[Technique], device: str) -> None:
     pulled: set[Product] = set()
     for scene in scenes_for(technique):
-        session = Session(Geometry(scene, device), width=16, height=12, device=device)
+        session = small_session(scene, device, size=(16, 12))
         made = technique(small_params(technique))
         for frame in range(2):
             session.begin(frame)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import small_scenes
+from compare import rmse
 from rig import (
     check,
     has_history,
@@ -61,17 +62,17 @@ def a_still_view_converges(technique: type[Technique], device: str) -> None:
     session = small_session(small_scenes.box_on_ground(small_scenes.light(kind)), device)
     # with texels much smaller than pixels a hard shadow has nothing to converge to but the pixel that lies on its edge
     made = technique(small_params(technique, resolution=64 if is_hard(technique) else 512))
-    rmse: dict[int, float] = {}
+    error: dict[int, float] = {}
     previous = np.zeros(0)
     for frame in range(128):
         visibility = render_frames(session, made, 1, frame)[0].visibility
         if frame + 1 in (4, 128):
-            rmse[frame + 1] = float(np.sqrt(np.nanmean((visibility - expected) ** 2)))
+            error[frame + 1] = rmse(visibility, expected)
         if frame == 127:
             change = float(np.nanmax(np.abs(visibility - previous)))
         previous = visibility
-    assert rmse[128] < 0.6 * rmse[4], f"rmse {rmse}"
-    assert rmse[128] < 0.03, f"rmse {rmse}"
+    assert error[128] < 0.6 * error[4], f"rmse {error}"
+    assert error[128] < 0.03, f"rmse {error}"
     assert change < 0.03, f"the image still changes by {change:.3f} after 128 frames"
 
 

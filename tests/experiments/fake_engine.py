@@ -189,3 +189,15 @@ def make_experiment(
         light=0,
         loaded_scene=make_scene(),
     )
+
+
+class Stop:
+    """Interrupts the rendering after the ``count``-th."""
+
+    def __init__(self, count: int) -> None:
+        self.left = count
+
+    def __call__(self, frame: int) -> None:
+        self.left -= 1
+        if self.left < 0:
+            raise KeyboardInterrupt

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from fake_engine import HEIGHT, WIDTH, FakeEngine, Flat, Remembering, make_scene, true_visibility
+from fake_engine import HEIGHT, WIDTH, FakeEngine, Flat, Remembering, Stop, make_scene, true_visibility
 from pydantic import BaseModel, Field
 
 from algorithms.technique import Needs
@@ -231,16 +231,6 @@ def test_a_path_takes_its_own_frames_and_references(load: Load, tmp_path: Path) 
     assert [item[1] for item in engine.log if item[0] == "flat"] == [2, 4, 5]
     (row, *_) = [r for r in store.rows("convergence") if r["label"] == "sampled" and r["step"] == "4"]
     assert row["n"] == "64"  # without history samples do not add up
-
-
-class Stop:
-    def __init__(self, count: int) -> None:
-        self.left = count
-
-    def __call__(self, frame: int) -> None:
-        self.left -= 1
-        if self.left < 0:
-            raise KeyboardInterrupt
 
 
 @pytest.mark.parametrize("stop_at", [0, 1, 4, 9, 14])

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fake_engine import HEIGHT, WIDTH, FakeEngine, make_experiment, make_run, true_visibility
+from fake_engine import HEIGHT, WIDTH, FakeEngine, Stop, make_experiment, make_run, true_visibility
 
 from experiments.kinds.walkthrough.label_run import Timing, pass_medians, timing_columns
 from experiments.kinds.walkthrough.run import run
@@ -180,18 +180,6 @@ def test_wrong_input_in_the_warm_up_ends_the_run(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="do not fit"):
         finished(tmp_path, experiment, engine=FakeEngine(experiment, refuse))
     finished(tmp_path, make_experiment(frames=[0]))  # and blocks nothing: no row was stored
-
-
-class Stop:
-    """Raises on the n-th rendering."""
-
-    def __init__(self, count: int) -> None:
-        self.left = count
-
-    def __call__(self, frame: int) -> None:
-        self.left -= 1
-        if self.left < 0:
-            raise KeyboardInterrupt
 
 
 @pytest.mark.parametrize("stop_at", [0, 3, 4, 5, 13, 14, 21, 22, 38, 48])
