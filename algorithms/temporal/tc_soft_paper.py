@@ -67,13 +67,13 @@ from wkernels.filters.penumbra import check_tap_count, pull_taps
 from wkernels.temporal.shadow_buffer.rules import BlockerMean, Smoothing
 from wkernels.temporal.shadow_buffer.start import START_PCSS, START_SAMPLE, Start, start_by
 from wkernels.temporal.shadow_buffer.step import ShadowStep, count_unsmoothed
-from wkernels.workspace.left_out import Omission
+from wkernels.workspace.left_out import Because, Omission
 
 
 class Skip(Omission):
     """What a light without an area saves."""
 
-    TAPS_ALIKE = "taps of starts", "the light has no area"
+    TAPS_ALIKE = "taps of starts", Because.NO_AREA
 
 
 class TcSoftPaper(ShadowBufferTechnique):
