@@ -171,9 +171,9 @@ class Technique(ABC):
     def all_lights(self) -> bool:
         """Whether the visibility is that of all the scene's lights together, with these parameters.
 
-        That is the mean of each light's visibility, weighted by radiance (``temporal.many_lights.light_weights``), and
-        so is the reference that it is scored by. An experiment whose scene has several lights has techniques of one
-        sort only. ``lights``, a parameter of techniques that can do either, says so unless overridden.
+        That is the mean of each light's visibility, weighted by radiance (``many_lights.light_weights``), and so is the
+        reference that it is scored by. An experiment whose scene has several lights has techniques of one sort only.
+        ``lights``, a parameter of techniques that can do either, says so unless overridden.
         """
         return getattr(self.params, "lights", "asked") != "asked"
 
