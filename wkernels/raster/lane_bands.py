@@ -15,13 +15,13 @@ from wkernels.raster.triangles import (
     top_left_bias,
 )
 
-LANES = wp.constant(64)  # triangles set up in one step
+BAND_LANES = wp.constant(64)  # triangles set up in one step
 PIECE_64 = wp.constant(wp.float64(8.0))
 PIXEL_64 = wp.constant(wp.float64(256.0))
 UNCOVERED = wp.constant(-4.0e30)  # times (edge function + 1/2): beyond any key where negative, below any where not
 
-Ints = wp.types.vector(length=LANES, dtype=wp.int32)
-Floats = wp.types.vector(length=LANES, dtype=wp.float32)
+Ints = wp.types.vector(length=BAND_LANES, dtype=wp.int32)
+Floats = wp.types.vector(length=BAND_LANES, dtype=wp.float32)
 
 
 @wp.func
@@ -179,9 +179,9 @@ def draw_band(
     y1 = Ints(0)
     wide = Ints(0)
     list_end = band_begin[band + 1]
-    for i0 in range(band_begin[band], list_end, LANES):
+    for i0 in range(band_begin[band], list_end, BAND_LANES):
         listed = band_list[i0]
-        for k in range(LANES):
+        for k in range(BAND_LANES):
             t = listed[k]
             a = corners[t]
             b = corners[corner_pitch + t]
@@ -242,7 +242,7 @@ def draw_band(
             y0[k] = upper
             y1[k] = wp.min(last_centre(high_y), bottom)
             wide[k] = wp.where(wp.max(high_x - low_x, high_y - low_y) > SMALL, 1, 0)
-        for k in range(wp.min(LANES, list_end - i0)):
+        for k in range(wp.min(BAND_LANES, list_end - i0)):
             t = listed[k]
             name = float(t)
             if t >= first_clipped:
