@@ -23,7 +23,18 @@ from typer.testing import CliRunner
 
 from experiments.cli import app
 
-COSTLY = ("paris", "winter", "savings", "sweep_all", "cost.yaml")  # in a block: explained, not run
+COSTLY = (
+    "paris",
+    "winter",
+    "savings",
+    "sweep_all",
+    "cost.yaml",
+    "flicker",
+    "mover_map",
+    "moving_light",
+    "overlap_cuts",
+)
+"""Where one of these stands in a block, what it runs is explained only: all of them together take a minute then."""
 STANDS_FOR = {
     "CONFIG": "configs/experiments/demo.yaml",
     "SCENE": "configs/scenes/overlap.yaml",

@@ -112,8 +112,17 @@ class ShadowBufferTechnique(Technique):
         """Adds the shadows of movers to what is shown, where they have a map of their own."""
         p = self.params
         if step.apart:
-            way = {"resolution": p.resolution, "cull": p.cull, "bias": p.device_bias, "taps": p.mover_taps}
-            add_mover_shadows(frame, step.gbuffer, step.visibility, step.error, overlap=p.mover_overlap, **way)
+            add_mover_shadows(
+                frame,
+                step.gbuffer,
+                step.visibility,
+                step.error,
+                resolution=p.resolution,
+                cull=p.cull,
+                bias=p.device_bias,
+                taps=p.mover_taps,
+                overlap=p.mover_overlap,
+            )
 
     def recall(self, frame: Frame, step: ShadowStep, epsilon: float, relative: float) -> Recall:
         """Where history is looked for; arguments as for ``add_samples``."""

@@ -155,7 +155,7 @@ def find_pyramid(work: Workspace, depth: wp.array, layout: MapLayout, old: Depth
     levels = out.levels = lay_out_levels(layout, work.device)
     size = max(levels.texels, 1)
     fits = old is not None and old.ranges.size == size
-    out.ranges = old.ranges if old and fits else wp.empty(size, dtype=wp.vec2, device=work.device)
+    out.ranges = old.ranges if old and fits else wp.zeros(size, dtype=wp.vec2, device=work.device)
     for level, side in enumerate(sides_of(levels)[1:], 1):
         twin = FIND_FIRST_RANGES if level == 1 else FIND_RANGES
         inputs = [depth, levels] if level == 1 else [out.ranges, levels, level]
