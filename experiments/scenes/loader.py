@@ -17,6 +17,7 @@ from experiments.scenes.files import read_triangles
 from experiments.scenes.lights import build_light
 from experiments.scenes.place import Place, misspelt
 from experiments.scenes.poses import KeyframedPose, pose
+from experiments.scenes.primitives import Triangles
 from wkernels.errors import nearest
 from wkernels.scene.lights import Light
 from wkernels.scene.model import Mesh, Scene
@@ -45,8 +46,9 @@ def scene_from_source(source: Source, loc: tuple[str | int, ...] = (), *, base: 
     place = Place(source, base, loc)
     scene_file = place.validated(schema.SceneFile)
     meshes: list[Mesh] = []
+    names, files = FreeNames(), {}
     for i in range(len(scene_file.meshes)):
-        _add_meshes(meshes, place.at("meshes", i))
+        _add_meshes(meshes, place.at("meshes", i), names, files)
     lights = tuple(build_light(place.at("lights", i)) for i in range(len(scene_file.lights)))
     camera, frames = camera_path(scene_file.camera, scene_file.path, place)
     if name is None:
@@ -55,8 +57,31 @@ def scene_from_source(source: Source, loc: tuple[str | int, ...] = (), *, base: 
     return Scene(name, tuple(meshes), lights, camera, frames, content_hash(meshes, lights, camera, frames))
 
 
-def _add_meshes(meshes: list[Mesh], place: Place) -> None:
-    """Appends what one entry of ``meshes`` stands for: one mesh, or all parts of a generator."""
+class FreeNames:
+    """Names that are taken, and the next number for each that is asked for again: many meshes share a name."""
+
+    def __init__(self) -> None:
+        self._next: dict[str, int] = {}
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._next
+
+    def take(self, name: str) -> str:
+        """The name itself where it is free, else with the least number behind it, from 2, that is."""
+        free, number = name, self._next.get(name, 1)
+        while free in self._next:
+            number += 1
+            free = f"{name}_{number}"
+        self._next[name] = number
+        self._next.setdefault(free, 1)
+        return free
+
+
+def _add_meshes(meshes: list[Mesh], place: Place, names: FreeNames, files: dict[str, Triangles]) -> None:
+    """Appends what one entry of ``meshes`` stands for: one mesh, or all parts of a generator.
+
+    ``files`` holds what was read for this scene already: a file that is named often is read and told of once.
+    """
     kind = _mesh_kind(place)
     if kind == "generate":
         name = place.data["generate"]
@@ -68,23 +93,22 @@ def _add_meshes(meshes: list[Mesh], place: Place) -> None:
     elif kind == "file":
         options = file_options = place.validated(schema.MeshFile)
         default = Path(file_options.file.removeprefix("warp:")).stem
-        parts = [Mesh(options.name or default, *read_triangles(file_options.file, place.at("file")))]
+        if file_options.file not in files:
+            files[file_options.file] = read_triangles(file_options.file, place.at("file"))
+        parts = [Mesh(options.name or default, *files[file_options.file])]
     else:
         options = place.validated(place.choice("primitive", schema.PRIMITIVES))
         parts = [Mesh(options.name or place.data["primitive"], *primitives.triangulate(options))]
     object_to_ws = pose(options.transform, options.motion, place)
     moving = isinstance(object_to_ws, KeyframedPose) and object_to_ws.moving
-    taken = {mesh.name for mesh in meshes}
-    if options.name is not None and any(part.name in taken for part in parts):
+    if options.name is not None and any(part.name in names for part in parts):
         raise place.at("name").error(f"another mesh has the name '{options.name}' already.")
     for part in parts:
-        name = _free_name(part.name, taken)
-        taken.add(name)
         diffuse = options.diffuse or (_DIFFUSE if kind != "generate" else part.diffuse)
         meshes.append(
             replace(
                 part,
-                name=name,
+                name=names.take(part.name),
                 diffuse=diffuse,
                 casts=options.casts and part.casts,
                 receives=options.receives and part.receives,
@@ -109,12 +133,6 @@ def _mesh_kind(place: Place) -> str:
                 raise place.at(wrong).error(f"is not a known key. Did you mean '{kind}'?")
         raise place.error(f"a mesh needs one of the keys {', '.join(kinds)}.")
     raise place.error("must be a mapping such as {primitive: box, size: [1, 1, 1]}.")
-
-
-def _free_name(name: str, taken: set[str]) -> str:
-    if name not in taken:
-        return name
-    return next(f"{name}_{i}" for i in range(2, len(taken) + 3) if f"{name}_{i}" not in taken)
 
 
 def content_hash(meshes: Sequence[Mesh], lights: Sequence[Light], camera: CameraPath, frames: int) -> str:
