@@ -46,7 +46,8 @@ def scene_from_source(source: Source, loc: tuple[str | int, ...] = (), *, base: 
     place = Place(source, base, loc)
     scene_file = place.validated(schema.SceneFile)
     meshes: list[Mesh] = []
-    names, files = FreeNames(), {}
+    names = FreeNames()
+    files: dict[str, Triangles] = {}
     for i in range(len(scene_file.meshes)):
         _add_meshes(meshes, place.at("meshes", i), names, files)
     lights = tuple(build_light(place.at("lights", i)) for i in range(len(scene_file.lights)))

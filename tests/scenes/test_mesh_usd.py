@@ -160,7 +160,7 @@ def test_faces_that_are_holes_are_not_drawn(tmp_path: Path):
             ' uniform token[] xformOpOrder = ["xformOp:scale"]\n }',
             r"the transform of /a is not finite",
         ),
-        ('def Sphere "a" { double radius = inf\n}', r"Sphere /a has"),
+        ('def Sphere "a" { double radius = inf\n}', r"Sphere /a has a size without a shape: radius inf"),
         ("def nonsense {", r"cannot be read"),
         (
             f'def PointInstancer "p" {{ rel prototypes = [</p/q>]\n int[] protoIndices = [1]\n point3f[] positions = [(0,0,0)]\n'

@@ -185,7 +185,7 @@ class Document:
     def _unpack(self, data: bytes) -> bytes:
         """The JSON of a GLB container; keeps its binary chunk."""
         if len(data) < 20:
-            raise MeshError("is a GLB of less than 20 bytes.")
+            raise MeshError("cannot be read: a GLB has 20 bytes at least.")
         version, length = (int.from_bytes(data[at : at + 4], "little") for at in (4, 8))
         if version != 2:
             raise MeshError(f"is a GLB of version {version}; 2 is read.")
