@@ -50,7 +50,9 @@ def test_what_a_mesh_file_loses_is_told_once_and_an_error_ends_with_status_2(tmp
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nl 1 2\n")
     (tmp_path / "b.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n")
     (tmp_path / "scene.yaml").write_text(head + "- {file: a.obj}\n- {file: a.obj}\n")
-    (tmp_path / "e.yaml").write_text("kind: walkthrough\nscene: scene.yaml\ntechniques: [shadow_map]\n")
+    (tmp_path / "e.yaml").write_text(
+        "kind: walkthrough\nscene: scene.yaml\nimage: {width: 16, height: 9}\ntechniques: [shadow_map]\n"
+    )
 
     def explain() -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "experiments.cli", "explain", str(tmp_path / "e.yaml")]

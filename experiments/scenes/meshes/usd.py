@@ -31,7 +31,7 @@ def read(path: Path, tell: Tell) -> Triangles:
 
 
 def open_stage(path: Path) -> Any:
-    """The stage of a file. A text layer in another encoding than UTF-8, or with a byte order mark, is taken for Latin-1.
+    """The stage of a file; text that is not UTF-8 is taken for Latin-1, and a byte order mark is left out.
 
     Raises:
         Tf.ErrorException: USD cannot read it.
