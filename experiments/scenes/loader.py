@@ -48,7 +48,7 @@ def scene_from_source(source: Source, loc: tuple[str | int, ...] = (), *, base: 
     for i in range(len(scene_file.meshes)):
         _add_meshes(meshes, place.at("meshes", i))
     lights = tuple(build_light(place.at("lights", i)) for i in range(len(scene_file.lights)))
-    camera, frames = camera_path(scene_file.camera, scene_file.path, place)
+    camera, frames = camera_path(scene_file.camera, scene_file.path, meshes, place)
     if name is None:
         generated = [m["generate"] for m in scene_file.meshes if "generate" in m]
         name = str(generated[0]) if generated else "scene"
@@ -145,5 +145,5 @@ def content_hash(meshes: Sequence[Mesh], lights: Sequence[Light], camera: Camera
             elif isinstance(value, KeyframedPose):
                 add(*value.description)
     fixed = camera.options
-    add(camera.eye_target(np.arange(frames, dtype=np.float64)), fixed.up, [fixed.fov_deg, fixed.near, fixed.far])
+    add(camera.eye_target(np.arange(frames, dtype=np.float64)), fixed.up, [fixed.fov_deg, camera.near, camera.far])
     return digest.hexdigest()

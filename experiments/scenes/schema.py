@@ -62,7 +62,8 @@ class Motion(StrictModel):
     """How a mesh or light moves.
 
     Attributes:
-        keyframes: Linear in between, rotations the shorter way round; the ends are held.
+        keyframes: Linear in between; rotations the shorter way round, but angle by angle where one changes by 180
+            degrees or more: 0 to 360 is a whole turn. The ends are held.
     """
 
     keyframes: Annotated[list[MotionKeyframe], Field(min_length=1)]
@@ -238,16 +239,16 @@ class CameraOptions(StrictModel):
         target: What it looks at; likewise.
         up: Its vertical axis.
         fov_deg: Vertical field of view.
-        near: Near plane.
-        far: Far plane.
+        near: Near plane; 0.1, or what the scene needs where it is much larger or smaller.
+        far: Far plane; 1000, likewise.
     """
 
     eye: Vector3 | None = None
     target: Vector3 | None = None
     up: Direction = (0.0, 1.0, 0.0)
     fov_deg: Annotated[float, Field(gt=0, lt=180)] = 60.0
-    near: Positive = 0.1
-    far: Positive = 1000.0
+    near: Positive | None = None
+    far: Positive | None = None
 
 
 class CameraKeyframe(StrictModel):

@@ -136,7 +136,7 @@ class LightSide(EyeSide):
 
     def light_hull(self) -> LightHull:
         """The light's hull for proofs, and how far a ray must reach to leave the scene."""
-        return light_hull(self.light, self.reach, self.device)
+        return light_hull(self.light, self.reach, self.device, self.span)
 
     @property
     def reach(self) -> float:
@@ -145,10 +145,37 @@ class LightSide(EyeSide):
         return 1.0 if box.empty else 1.01 * float(np.linalg.norm(box.high - box.low)) + 1e-6
 
     @property
+    def span(self) -> float:
+        """Size of what is around the eye, scene units: ``reach`` in scenes that do not go on much farther."""
+        return 1.01 * self.geometry.span + 1e-6 if self.geometry.span else 1.0
+
+    @property
     def middle_of_receivers(self) -> np.ndarray:
-        """The middle of the box of everything that receives, (3,), rebased world."""
-        box = self.geometry.bounds(receivers=True)
+        """The middle of the box of what receives, and is not too small to be seen, (3,), rebased world."""
+        box = self.geometry.bounds(receivers=True, noticed=True)
         return np.zeros(3) if box.empty else 0.5 * (box.low + box.high)
+
+    def casters_towards(self, light_ws: np.ndarray, moving: bool | None = None) -> Bounds:
+        """Boxes of the casters that a map of what is noticed needs to hold, from a light sample (4,), rebased world.
+
+        Those that are noticed, and of the others those between it and a directional light: no map from a point ends
+        before its casters. ``moving`` as for ``Geometry.bounds``.
+        """
+        noticed = self.geometry.bounds(casters=True, moving=moving, noticed=True)
+        out = self.geometry.bounds(casters=True, moving=moving)
+        if light_ws[3] != 0.0 or len(out.corners) == len(noticed.corners):
+            return noticed
+        shaded = self.geometry.bounds(casters=True, receivers=True, noticed=True)
+        if shaded.empty:
+            return out
+        middle, radius = 0.5 * (shaded.low + shaded.high), 0.5 * float(np.linalg.norm(shaded.high - shaded.low))
+        for box in out.corners.reshape(-1, 8, 3):
+            way = 0.5 * (box[0] + box[-1]) - middle
+            along = float(way @ light_ws[:3])
+            own = 0.5 * float(np.linalg.norm(box[-1] - box[0]))
+            if along > 0.0 and float(np.linalg.norm(way - along * light_ws[:3])) <= 1.001 * (radius + own):
+                noticed.add(box)
+        return noticed
 
     def look_from_light(
         self, light_ws: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int
@@ -257,8 +284,11 @@ class LightSide(EyeSide):
         return getattr(self.projection, "map_options", PLAIN_MAP)
 
     def _look(self, light_ws: np.ndarray, resolution: int) -> list[HostView]:
-        """The views of a map from a light sample, of all that receives; of all that casts where nothing does."""
-        receivers, casters = self.geometry.bounds(receivers=True), self.geometry.bounds(casters=True)
+        """The views of a map from a light sample, of what receives; of what casts where nothing does.
+
+        What is too small to be seen from anywhere on the path needs no texels.
+        """
+        receivers, casters = self.geometry.bounds(receivers=True, noticed=True), self.casters_towards(light_ws)
         if receivers.empty:
             receivers = casters
         if receivers.empty:  # no meshes at all: any view will do
