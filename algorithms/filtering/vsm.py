@@ -10,13 +10,13 @@ the mean moments over it from a summed-area table (Lauritzen 2007). ``bleeding``
 a) / (1 - a), at least 0.
 
 Deviations: depths are normalised to [-1/2, 1/2] over the range of each layer of the map, or float32 would lose M2 -
-M1^2 and a split of 10 m would have the ``min_variance`` of a scene of 3 km; tables are float64. Texels without a caster hold the range's far end. The slope term M2 += (zx^2 + zy^2)/4
-(``slope_variance``) takes the smaller one-sided difference of the map on each axis, which is the caster's own slope
-and not the step at its silhouette.
+M1^2 and a split of 10 m would have the ``min_variance`` of a scene of 3 km; tables are float64. Texels without a caster
+hold the range's far end. The slope term M2 += (zx^2 + zy^2)/4 (``slope_variance``) takes the smaller one-sided
+difference of the map on each axis, which is the caster's own slope and not the step at its silhouette.
 Known artefacts: light bleeding where casters overlap: two hiding depths a < b in equal parts leave 1 / (1 + (1 + 2 (c
 - b)/(b - a))^2) of the light at depth c; lit contacts, where caster and receiver are closer than
-sqrt(``min_variance``) of the layer's range; the box of ``pcss`` turns with the map, not with the light; filters end at the
-map's border, and at that of a face of an omnidirectional map.
+sqrt(``min_variance``) of the layer's range; the box of ``pcss`` turns with the map, not with the light; filters end at
+the map's border, and at that of a face of an omnidirectional map.
 """
 
 from __future__ import annotations

@@ -204,7 +204,15 @@ class TcAdaptive(Technique):
         shown = frame.geometry.version, points.tobytes()
         movers = frame.product("mover maps", "mover maps", shown, draw).pool
         with frame.timed("mover tests"):
-            inputs = [gbuffer, kept.pool, movers, maps, p.device_bias, mover_reach(frame.light, box.low, box.high), p.even]
+            inputs = [
+                gbuffer,
+                kept.pool,
+                movers,
+                maps,
+                p.device_bias,
+                mover_reach(frame.light, box.low, box.high),
+                p.even,
+            ]
             frame.launch(ADD_MOVERS, visibility.shape, inputs, [visibility, error])
 
     def _steps(self, frame: Frame, kept: KeptMaps, plan: Schedule, has_history: bool) -> PoolSteps:

@@ -11,9 +11,9 @@ import numpy as np
 from algorithms.plugins import load_all
 from experiments.api import render_visibility
 from experiments.config.source import parse_yaml
+from experiments.results.images import visibility_view, write_exr, write_png
 from experiments.scenes import load_scene
 from experiments.scenes.sight import why_nothing_is_seen
-from experiments.results.images import visibility_view, write_exr, write_png
 from wkernels.errors import InputError
 
 _SUFFIXES = (".exr", ".png")

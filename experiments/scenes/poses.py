@@ -56,7 +56,7 @@ class KeyframedPose:
         self._angles = np.array([key.rotate_deg for key in keys], np.float64)
         self._rotations = Rotation.from_euler("xyz", self._angles, degrees=True)
         self._slerp = Slerp(self.frames, self._rotations) if len(keys) > 1 else None
-        self._turns = (np.abs(np.diff(self._angles, axis=0)) >= HALF_TURN_DEG).any(axis=1)  # by interval
+        self._turns = np.abs(np.diff(self._angles, axis=0)).max(axis=1) >= HALF_TURN_DEG  # by interval
 
     def __call__(self, frame: int) -> np.ndarray:
         """Object to world space, float64 (4, 4); the first and last keyframe are held outside their range."""

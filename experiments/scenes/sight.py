@@ -22,7 +22,9 @@ BEHIND = 1e-6
 """Of the far plane: what is not so far before the eye counts as behind it."""
 
 
-def depth_planes(meshes: Sequence[Mesh], eyes: np.ndarray, near: float | None, far: float | None) -> tuple[float, float]:
+def depth_planes(
+    meshes: Sequence[Mesh], eyes: np.ndarray, near: float | None, far: float | None
+) -> tuple[float, float]:
     """Near and far planes, scene units, as given; where they are not, ``NEAR`` and ``FAR`` or what the scene needs.
 
     Needed is what is seen larger than ``LEAST_ANGLE`` from somewhere on the path, whichever way the eye looks.

@@ -7,7 +7,8 @@ import itertools
 import numpy as np
 
 _CORNERS = np.array(list(itertools.product((0, 1), repeat=3)))
-_EDGES = np.array([(a, b) for a, b in itertools.combinations(range(8), 2) if np.abs(_CORNERS[a] - _CORNERS[b]).sum() == 1])
+_PAIRS = np.array(list(itertools.combinations(range(8), 2)))
+_EDGES = _PAIRS[np.abs(_CORNERS[_PAIRS[:, 0]] - _CORNERS[_PAIRS[:, 1]]).sum(axis=1) == 1]
 _SIDES = np.array(list(itertools.product((-1.0, 1.0), repeat=2)))
 _LEAST = 1e-6  # of the depth: what a range spans at least
 
@@ -71,8 +72,11 @@ def _on_window_lines(rows: np.ndarray, boxes: np.ndarray) -> np.ndarray:
         begin = np.where(free, -np.inf, ends[:, 0]).max(axis=1)
         end = np.where(free, np.inf, ends[:, 1]).min(axis=1)
         ahead, rate = float(w[:3] @ start + w[3]), float(w[:3] @ along)
-        if rate != 0.0:  # only where w is not negative are these the window's edges
-            begin, end = (np.maximum(begin, -ahead / rate), end) if rate > 0.0 else (begin, np.minimum(end, -ahead / rate))
+        # only where w is not negative are these the window's edges
+        if rate > 0.0:
+            begin = np.maximum(begin, -ahead / rate)
+        elif rate < 0.0:
+            end = np.minimum(end, -ahead / rate)
         held = begin <= end
         out += [z[:3] @ start + z[3] + share[held] * float(z[:3] @ along) for share in (begin, end)]
     return np.concatenate(out) if out else np.zeros(0)

@@ -106,4 +106,3 @@ def forget_changes(frame: Session, history: History, lights: Sequence[Light], de
             on_device = wp.array(reaches, dtype=MoverReach, device=frame.device)
             inputs = [view, view.far if depth_unit is None else depth_unit, on_device]
             frame.launch(FORGET[texels.dtype], texels.shape, inputs, [texels])
-

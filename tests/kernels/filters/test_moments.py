@@ -122,7 +122,7 @@ def test_depth_range_is_that_of_the_boxes_inside_the_window() -> None:
         boxes = np.stack([low, low + rng.uniform(0.0, 4.0, (4, 3)) * rng.integers(0, 2, (4, 3))], axis=1)
         axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
         rows = np.zeros((4, 4))
-        rows[:3, :3], rows[:3, 3] = axes, rng.uniform(-1.0, 1.0, 3) + (0.0, 0.0, 6.0)
+        rows[:3, :3], rows[:3, 3] = axes, rng.uniform(-1.0, 1.0, 3) + np.array((0.0, 0.0, 6.0))
         rows[:2] *= rng.uniform(0.3, 1.5)
         rows[3] = rows[2] if rng.random() < 0.5 else (0.0, 0.0, 0.0, 1.0)
         rows[3] += 0.03 * rows[1]
