@@ -41,6 +41,11 @@ It may have three attributes: ``near``, the ``NearPlane`` rule of the eye view t
 """
 
 
+FARTHEST_CASTER = 64.0
+"""Distance of a caster from what is around the eye, in sizes of that, up to which one map holds the depths of both:
+the comparison's allowance for rounding is 2e-6 of it (``light_map``)."""
+
+
 class LightSide(EyeSide):
     """What one frame of one technique label offers under the light that is set.
 
@@ -160,7 +165,11 @@ class LightSide(EyeSide):
         """Boxes of the casters that a map of what is noticed needs to hold, from a light sample (4,), rebased world.
 
         Those that are noticed, and of the others those between it and a directional light: no map from a point ends
-        before its casters. ``moving`` as for ``Geometry.bounds``.
+        before its casters. One that lies more than ``FARTHEST_CASTER`` before it is left out, and that is told.
+
+        Args:
+            light_ws: Light sample (4,), rebased world.
+            moving: As for ``Geometry.bounds``.
         """
         noticed = self.geometry.bounds(casters=True, moving=moving, noticed=True)
         out = self.geometry.bounds(casters=True, moving=moving)
@@ -170,11 +179,16 @@ class LightSide(EyeSide):
         if shaded.empty:
             return out
         middle, radius = 0.5 * (shaded.low + shaded.high), 0.5 * float(np.linalg.norm(shaded.high - shaded.low))
+        held = {box.tobytes() for box in noticed.corners.reshape(-1, 8, 3)}
         for box in out.corners.reshape(-1, 8, 3):
             way = 0.5 * (box[0] + box[-1]) - middle
-            along = float(way @ light_ws[:3])
-            own = 0.5 * float(np.linalg.norm(box[-1] - box[0]))
-            if along > 0.0 and float(np.linalg.norm(way - along * light_ws[:3])) <= 1.001 * (radius + own):
+            along, own = float(way @ light_ws[:3]), 0.5 * float(np.linalg.norm(box[-1] - box[0]))
+            aside = float(np.linalg.norm(way - along * light_ws[:3]))
+            if box.tobytes() in held or along <= 0.0 or aside > 1.001 * (radius + own):
+                continue
+            if along - own > FARTHEST_CASTER * 2.0 * radius:
+                self.record("casters in light maps", "they are so far off that depth would lose those near the eye")
+            else:
                 noticed.add(box)
         return noticed
 
