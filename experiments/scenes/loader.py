@@ -14,9 +14,10 @@ from experiments.config.source import Source, from_dict, load_yaml
 from experiments.scenes import generators, primitives, schema
 from experiments.scenes.cameras import CameraPath, camera_path
 from experiments.scenes.files import read_triangles
+from experiments.scenes.importing.building import import_file, imported_camera
 from experiments.scenes.lights import build_light
-from experiments.scenes.place import Place, misspelt
-from experiments.scenes.poses import KeyframedPose, pose
+from experiments.scenes.place import Place, free_name, misspelt
+from experiments.scenes.poses import KeyframedPose, Moving, pose
 from wkernels.errors import nearest
 from wkernels.scene.lights import Light
 from wkernels.scene.model import Mesh, Scene
@@ -43,6 +44,8 @@ def load_scene(source: str | Path | Mapping[str, Any], *, base: Path | None = No
 def scene_from_source(source: Source, loc: tuple[str | int, ...] = (), *, base: Path, name: str | None = None) -> Scene:
     """The scene at ``loc`` of a source that is read already; ``name`` defaults to that of its first generator."""
     place = Place(source, base, loc)
+    if isinstance(place.data, dict) and "import" in place.data:
+        return _importing_scene(place, name)
     scene_file = place.validated(schema.SceneFile)
     meshes: list[Mesh] = []
     for i in range(len(scene_file.meshes)):
@@ -53,6 +56,24 @@ def scene_from_source(source: Source, loc: tuple[str | int, ...] = (), *, base: 
         generated = [m["generate"] for m in scene_file.meshes if "generate" in m]
         name = str(generated[0]) if generated else "scene"
     return Scene(name, tuple(meshes), lights, camera, frames, content_hash(meshes, lights, camera, frames))
+
+
+def _importing_scene(place: Place, name: str | None) -> Scene:
+    """The scene of a file that imports another one, its own keys beside it."""
+    scene_file = place.validated(schema.ImportingSceneFile)
+    imported = import_file(scene_file, place)
+    meshes = list(imported.meshes)
+    for i in range(len(scene_file.meshes)):
+        _add_meshes(meshes, place.at("meshes", i))
+    lights: list[Light] = []
+    for i, item in enumerate(["from_file"] if scene_file.lights == "from_file" else scene_file.lights):
+        lights += imported.lights if item == "from_file" else [build_light(place.at("lights", i))]
+    if not lights:
+        raise place.at("lights").error("there is no light: the file has none, or none that is supported.")
+    camera, frames = imported_camera(scene_file, imported, place)
+    digest = content_hash(meshes, lights, camera, frames)
+    name = name or Path(scene_file.import_file).stem
+    return Scene(name, tuple(meshes), tuple(lights), camera, frames, digest, imported.notes)
 
 
 def _add_meshes(meshes: list[Mesh], place: Place) -> None:
@@ -78,7 +99,7 @@ def _add_meshes(meshes: list[Mesh], place: Place) -> None:
     if options.name is not None and any(part.name in taken for part in parts):
         raise place.at("name").error(f"another mesh has the name '{options.name}' already.")
     for part in parts:
-        name = _free_name(part.name, taken)
+        name = free_name(part.name, taken)
         taken.add(name)
         diffuse = options.diffuse or (_DIFFUSE if kind != "generate" else part.diffuse)
         meshes.append(
@@ -111,12 +132,6 @@ def _mesh_kind(place: Place) -> str:
     raise place.error("must be a mapping such as {primitive: box, size: [1, 1, 1]}.")
 
 
-def _free_name(name: str, taken: set[str]) -> str:
-    if name not in taken:
-        return name
-    return next(f"{name}_{i}" for i in range(2, len(taken) + 3) if f"{name}_{i}" not in taken)
-
-
 def content_hash(meshes: Sequence[Mesh], lights: Sequence[Light], camera: CameraPath, frames: int) -> str:
     """Hex digest (SHA-256) over everything that changes pixels.
 
@@ -132,18 +147,25 @@ def content_hash(meshes: Sequence[Mesh], lights: Sequence[Light], camera: Camera
 
     for mesh in meshes:
         add(mesh.vertices, mesh.faces, mesh.diffuse, mesh.casts, mesh.receives, mesh.moving)
-        if isinstance(mesh.object_to_ws, KeyframedPose) and mesh.moving:
+        if isinstance(mesh.object_to_ws, Moving) and mesh.moving:
             add(*mesh.object_to_ws.description)
         else:
             add(mesh.object_to_ws(0))
+        if isinstance(mesh.deformed, Moving):
+            add(*mesh.deformed.description)
     for light in lights:
         digest.update(light.kind.encode())
         for item in fields(light):
             value = getattr(light, item.name)
             if item.name != "motion":
                 add(() if value is None else value)
-            elif isinstance(value, KeyframedPose):
+            elif isinstance(value, Moving):
                 add(*value.description)
     fixed = camera.options
-    add(camera.eye_target(np.arange(frames, dtype=np.float64)), fixed.up, [fixed.fov_deg, fixed.near, fixed.far])
+    at = np.arange(frames, dtype=np.float64)
+    add(camera.eye_target(at), fixed.up, [fixed.fov_deg, fixed.near, fixed.far])
+    if camera.ups is not None:
+        add(camera.ups(at))
+    if fixed.height is not None:
+        add(fixed.height)
     return digest.hexdigest()

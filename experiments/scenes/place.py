@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+import itertools
+from collections.abc import Container, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -74,3 +75,10 @@ def misspelt(key: str, data: Iterable[str]) -> str | None:
     """The one of the given keys that looks like a misspelling of ``key``."""
     close = difflib.get_close_matches(key, data, n=1, cutoff=0.7)
     return close[0] if close and close[0] != key else None
+
+
+def free_name(name: str, taken: Container[str]) -> str:
+    """The name, or with a number behind it where it is taken."""
+    if name not in taken:
+        return name
+    return next(f"{name}_{i}" for i in itertools.count(2) if f"{name}_{i}" not in taken)

@@ -86,7 +86,7 @@ class Geometry:
         self.meshes: list[Mesh] = sorted(scene.meshes, key=lambda mesh: (not mesh.casts, mesh.moving))
         self.version = 0
         self._frame: int | None = None
-        self._poses: dict[int, np.ndarray] = {}
+        self._poses: dict[int, np.ndarray] = {}  # of moving meshes; of those that change shape their vertices
         placed = [_place(mesh, 0) for mesh in self.meshes]
         box = Bounds()
         for vertices in placed:
@@ -139,11 +139,11 @@ class Geometry:
         for i, mesh in enumerate(self.meshes):
             if not mesh.moving:
                 continue
-            pose = mesh.object_to_ws(frame)
-            if i in self._poses and np.array_equal(pose, self._poses[i]):
+            pose = mesh.object_to_ws(frame) if mesh.deformed is None else _place(mesh, frame)
+            if i in self._poses and np.array_equal(pose, self._poses[i], equal_nan=True):
                 continue  # a mover that pauses leaves every map as it was
             self._poses[i] = pose
-            vertices = _place(mesh, frame) - self.origin_ws
+            vertices = (pose if mesh.deformed is not None else _place(mesh, frame)) - self.origin_ws
             self._boxes[i] = _box(vertices)
             region = self._ranges[i]
             part = wp.array(vertices.astype(np.float32), dtype=wp.vec3, device="cpu")
@@ -211,5 +211,5 @@ def _finite(vertices: np.ndarray) -> np.ndarray:
 def _place(mesh: Mesh, frame: int) -> np.ndarray:
     pose = mesh.object_to_ws(frame)
     with np.errstate(invalid="ignore"):  # vertices that are not finite stay so, and cast nothing
-        placed: np.ndarray = np.asarray(mesh.vertices, dtype=np.float64) @ pose[:3, :3].T + pose[:3, 3]
+        placed: np.ndarray = np.asarray(mesh.vertices_at(frame), dtype=np.float64) @ pose[:3, :3].T + pose[:3, 3]
     return placed

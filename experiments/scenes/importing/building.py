@@ -1,0 +1,248 @@
+"""Imported descriptions to meshes, lights and camera paths, and what there is to tell about them."""
+
+from __future__ import annotations
+
+import importlib
+import warnings
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from experiments.scenes import schema
+from experiments.scenes.cameras import CameraPath, camera_path, check_lens
+from experiments.scenes.importing.description import Asked, ImportedCamera, ImportedScene, Shape, each_frame
+from experiments.scenes.meshes.reading import MeshError
+from experiments.scenes.place import Place, free_name
+from experiments.scenes.poses import SampledPose, StaticPose
+from wkernels.errors import nearest
+from wkernels.scene.light_motion import transformed
+from wkernels.scene.lights import DirectionalLight, DiscLight, Light, PointLight, SphereLight
+from wkernels.scene.model import Mesh
+
+FORMATS = {
+    **dict.fromkeys((".glb", ".gltf"), "gltf"),
+    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "usd"),
+    ".xml": "mitsuba",
+}
+LARGEST = 1e12  # as in scene files
+_UNEVEN = 1e-6  # relative difference of scales along axes that says that a disc or sphere is none any more
+_DEPTHS = 1e5  # far over near, where a file has a far plane and no near one
+
+
+@dataclass(frozen=True, eq=False)
+class Imported:
+    """What came in, in scene space.
+
+    Attributes:
+        meshes, lights: Of the file.
+        scene: The description.
+        notes: Sentences for ``explain``.
+    """
+
+    meshes: tuple[Mesh, ...]
+    lights: tuple[Light, ...]
+    scene: ImportedScene
+    notes: tuple[str, ...]
+
+
+def import_file(options: schema.ImportingSceneFile, place: Place) -> Imported:
+    """Reads the file that the scene at ``place`` imports; warns of what is left out.
+
+    Raises:
+        InputError: The file is missing, broken, of an unknown format, or requires what is not supported.
+    """
+    at = place.at("import")
+    path = at.existing_file(options.import_file)
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        raise at.error(f"'{path}' is of no format that can be imported, which are {', '.join(FORMATS)}.")
+    left_out: list[str] = []
+
+    def tell(message: str) -> None:
+        if message not in left_out:
+            left_out.append(message)
+            warnings.warn(str(at.error(f"'{path}': {message}")), stacklevel=2)
+
+    reader = importlib.import_module(f"experiments.scenes.importing.{FORMATS[suffix]}")
+    try:
+        scene: ImportedScene = reader.read(path, Asked(options.fps, options.animation, tell))
+        meshes = _meshes(scene, tell)
+        lights = tuple(_light(one, scene, options, tell) for one in scene.lights)
+    except MeshError as error:
+        raise at.error(f"'{path}': {error}") from None
+    notes = [f"{path.name}: {_came_in(scene, meshes)}", *scene.notes, *left_out]
+    return Imported(meshes, lights, scene, tuple(notes))
+
+
+def _came_in(scene: ImportedScene, meshes: Sequence[Mesh]) -> str:
+    kinds = Counter(one.light.kind for one in scene.lights)
+    cameras = ", ".join(
+        f"{camera.name} ({'orthographic' if camera.fov_deg is None else 'perspective'})" for camera in scene.cameras
+    )
+    moving = sum(mesh.moving for mesh in meshes)
+    return "; ".join(
+        [
+            f"{len(meshes)} meshes of {len(scene.shapes)} shapes, {moving} of them moving",
+            f"lights: {', '.join(f'{count} {kind}' for kind, count in kinds.items()) or 'none'}",
+            f"cameras: {cameras or 'none'}",
+            f"{scene.frames} frame{'' if scene.frames == 1 else 's'}",
+        ]
+    )
+
+
+def _meshes(scene: ImportedScene, tell: Any) -> tuple[Mesh, ...]:
+    shapes = [_finite(shape, tell) for shape in scene.shapes]
+    mirrored: dict[int, np.ndarray] = {}  # faces by shape, shared like those that are not
+    meshes, taken, numbers = [], set(), Counter[str]()
+    for one in scene.instances:
+        shape = shapes[one.shape]
+        if not len(shape.faces):
+            continue
+        pose = each_frame(scene.to_scene @ one.pose)
+        if not np.isfinite(pose).all():
+            raise MeshError(f"the transform of {one.name!r} is not finite.")
+        _check_extent(shape, pose, one.name)
+        faces = shape.faces
+        if np.linalg.det(pose[0, :3, :3]) < 0.0:
+            faces = mirrored.setdefault(one.shape, np.ascontiguousarray(faces[:, ::-1]))
+        numbers[one.name] += 1
+        name = one.name if numbers[one.name] == 1 else f"{one.name}_{numbers[one.name]}"
+        name = free_name(name, taken)
+        taken.add(name)
+        sampled = SampledPose(pose)
+        mesh = Mesh(
+            name,
+            shape.vertices,
+            faces,
+            object_to_ws=sampled if len(pose) > 1 else StaticPose(pose[0]),
+            moving=sampled.moving or shape.deformation is not None,
+            deformed=shape.deformation,
+        )
+        meshes.append(mesh if one.diffuse is None else replace(mesh, diffuse=one.diffuse))
+    return tuple(meshes)
+
+
+def _finite(shape: Shape, tell: Any) -> Shape:
+    """The shape without triangles that use a vertex that is not finite."""
+    faces = np.ascontiguousarray(shape.faces, np.int32)
+    good = np.all(np.isfinite(shape.vertices), axis=1)[faces].all(axis=1)
+    if not good.all():
+        tell(f"{np.count_nonzero(~good)} of {len(good)} triangles have non-finite vertices and are left out.")
+    return replace(shape, faces=faces[good])
+
+
+def _check_extent(shape: Shape, pose: np.ndarray, name: str) -> None:
+    """Raises MeshError where the corners of the shape's box are beyond the largest coordinate on the first frame."""
+    used = shape.vertices[np.isfinite(shape.vertices).all(axis=1)]
+    if len(used):
+        corners = np.stack([used.min(axis=0), used.max(axis=0)])
+        if np.abs(corners @ pose[0, :3, :3].T + pose[0, :3, 3]).max() > LARGEST:
+            raise MeshError(f"{name!r} has coordinates beyond {LARGEST:g}.")
+
+
+def _light(one: Any, scene: ImportedScene, options: schema.ImportingSceneFile, tell: Any) -> Light:
+    pose = each_frame(scene.to_scene @ one.pose)
+    light: Light = one.light
+    if not (np.isfinite(pose).all() and np.isfinite(light.radiance).all()):
+        raise MeshError(f"the light {one.name!r} is not finite.")
+    scales = np.linalg.svd(pose[:, :3, :3], compute_uv=False)
+    if not np.all(scales[:, 2] > 0.0):
+        raise MeshError(f"the light {one.name!r} has a transform that leaves it no extent.")
+    uneven = bool(np.any(scales[:, 0] - scales[:, 2] > _UNEVEN * scales[:, 0]))
+    if isinstance(light, (DiscLight, SphereLight)) and uneven:
+        tell(f"the {light.kind} light {one.name!r} is scaled unevenly; it stays round.")
+    if isinstance(light, PointLight) and options.light_size is not None:
+        pose = pose.copy()
+        pose[:, :3, :3] = np.eye(3)  # its size is in scene units
+        light = SphereLight(center=light.position, radius=0.5 * options.light_size, radiance=light.radiance)
+    if isinstance(light, DirectionalLight) and light.angle_deg == 0.0 and options.light_angle_deg is not None:
+        light = replace(light, angle_deg=options.light_angle_deg)
+    sampled = SampledPose(pose)
+    return replace(light, motion=sampled) if sampled.moving else transformed(light, pose[0])
+
+
+def imported_camera(options: schema.ImportingSceneFile, imported: Imported, place: Place) -> tuple[CameraPath, int]:
+    """The camera of a scene that imports a file, and the number of its frames.
+
+    Raises:
+        InputError: There is no such camera, or none at all, or its keys do not go together.
+    """
+    cameras, at = imported.scene.cameras, place.at("camera")
+    keys = schema.CameraOptions()
+    chosen = cameras[0] if cameras else None
+    if isinstance(options.camera, dict):
+        keys = at.validated(schema.CameraOptions)
+    elif options.camera != "from_file":
+        names = [camera.name for camera in cameras]
+        if options.camera not in names:
+            raise at.error(f"the file has no camera '{options.camera}'." + nearest(options.camera, names))
+        chosen = cameras[names.index(options.camera)]
+    placed = keys.eye is not None or keys.target is not None or options.path is not None
+    if chosen is None:
+        if not placed:
+            raise at.error("is required: the file has no camera.")
+        path, frames = camera_path(keys, options.path, place)
+    elif placed:
+        path, frames = camera_path(_lens(chosen, keys, imported, at), options.path, place)
+    else:
+        path, frames = _path(chosen, keys, imported, at), 1
+        check_lens(path.options, at)
+    return path, max(frames, imported.scene.frames) if options.path is None else frames
+
+
+def _lens(camera: ImportedCamera, keys: schema.CameraOptions, imported: Imported, at: Place) -> schema.CameraOptions:
+    """The file's lens and clipping planes, with what the scene file says in place of them."""
+    unit = float(np.cbrt(abs(np.linalg.det(imported.scene.to_scene[:3, :3]))))
+    out: dict[str, Any] = {}
+    if camera.fov_deg is None:
+        out |= {"projection": "orthographic", "height": unit * float(camera.height or 0.0)}
+    else:
+        out["fov_deg"] = camera.fov_deg
+    out["far"] = unit * camera.far if camera.far else _reach(camera, imported)
+    out["near"] = unit * camera.near if camera.near else out["far"] / _DEPTHS
+    given = keys.model_fields_set
+    if "projection" in given and keys.projection != out.get("projection", "perspective"):
+        out = {key: out[key] for key in ("near", "far")}
+    elif "fov_deg" in given and "height" in out:
+        out = {key: out[key] for key in ("near", "far")}
+    try:
+        return schema.CameraOptions.model_validate({**out, **{key: getattr(keys, key) for key in given}})
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise at.error(f"{where} of the file's camera '{camera.name}' cannot be used: {first['msg'].lower()}.") from None
+
+
+def _reach(camera: ImportedCamera, imported: Imported) -> float:
+    """How far the farthest corner of a mesh's box is from the camera, a little more: a far plane that hides nothing."""
+    eyes = (imported.scene.to_scene @ camera.pose)[:, :3, 3]
+    farthest = 0.0
+    for mesh in imported.meshes:
+        box = np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)])
+        middle, radius = box.mean(axis=0), 0.5 * float(np.linalg.norm(box[1] - box[0]))
+        for frame in range(imported.scene.frames if mesh.moving else 1):
+            pose = mesh.object_to_ws(frame)
+            scale = float(np.linalg.norm(pose[:3, :3], 2))
+            away = np.linalg.norm(eyes - (pose[:3, :3] @ middle + pose[:3, 3]), axis=1).max()
+            farthest = max(farthest, float(away) + scale * radius)
+    return 1.1 * farthest or 1000.0
+
+
+def _path(camera: ImportedCamera, keys: schema.CameraOptions, imported: Imported, at: Place) -> CameraPath:
+    """The path of a camera of the file, which may turn about its own axis."""
+    pose = imported.scene.to_scene @ camera.pose
+    axes = pose[:, :3, :3] / np.linalg.norm(pose[:, :3, :3], axis=1, keepdims=True)
+    rows = np.concatenate([pose[:, :3, 3], pose[:, :3, 3] - axes[:, :, 2]], axis=1)
+    ups = axes[:, :, 1] if "up" not in keys.model_fields_set else np.tile(np.array(keys.up), (len(pose), 1))
+
+    def held(values: np.ndarray, frame: np.ndarray) -> np.ndarray:
+        return values[np.clip(frame.astype(np.int64), 0, len(values) - 1)]
+
+    return CameraPath(
+        lambda frame: held(rows, frame), _lens(camera, keys, imported, at), lambda frame: held(ups, frame)
+    )
