@@ -8,10 +8,12 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from experiments.config.source import StrictModel
 
-_LARGEST = 1e12  # so that squared lengths stay finite in float32
-Coordinate = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
-Positive = Annotated[float, Field(gt=0, le=_LARGEST)]
-NonNegative = Annotated[float, Field(ge=0, le=_LARGEST)]
+LARGEST = 1e12
+"""Of a coordinate or length, so that squared lengths stay finite in float32."""
+
+Coordinate = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+Positive = Annotated[float, Field(gt=0, le=LARGEST)]
+NonNegative = Annotated[float, Field(ge=0, le=LARGEST)]
 Vector3 = tuple[Coordinate, Coordinate, Coordinate]
 Frame = Annotated[int, Field(ge=-1_000_000, le=1_000_000)]
 Reflectance = Annotated[float, Field(ge=0, le=1)]

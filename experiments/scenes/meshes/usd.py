@@ -1,0 +1,142 @@
+"""USD stages as one mesh: meshes and implicit shapes of all prims that are drawn, point instancers included."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.scenes.meshes.axes import TO_Y_UP
+from experiments.scenes.meshes.reading import MeshError, Parts, Tell, check_indices, one_line
+from experiments.scenes.meshes.usd_prims import prim_triangles
+from experiments.scenes.primitives import Triangles
+
+_DEEPEST = 16  # levels of instancers within prototypes
+
+
+def read(path: Path, tell: Tell) -> Triangles:
+    """All triangles at the first time sample, turned so that y is up; lengths stay in the stage's units."""
+    if importlib.util.find_spec("pxr") is None:
+        raise MeshError("is USD, which needs an extra: pip install 'wkernels[formats]'.")
+    from pxr import Tf, Usd, UsdGeom
+
+    try:
+        stage = Usd.Stage.Open(str(path))
+    except Tf.ErrorException as error:
+        raise MeshError(f"cannot be read: {one_line(error)}.") from None
+    for error in stage.GetCompositionErrors():
+        tell(f"is incomplete: {one_line(Exception(str(error)))}.")
+    parts, time = Parts(), Usd.TimeCode.EarliestTime()
+    dropped: Counter[str] = Counter()
+    turn = np.eye(4)
+    up = str(UsdGeom.GetStageUpAxis(stage))
+    if up != "Y":
+        turn[:3, :3] = TO_Y_UP[up]
+        tell(f"its up axis {up} is turned to y.")
+    for prim, to_stage in drawn_prims(stage, time, dropped):
+        found = prim_triangles(prim, time, tell)
+        if found is None:
+            dropped[f"of type {prim.GetTypeName()}"] += 1
+        elif not np.isfinite(to_stage).all():
+            raise MeshError(f"the transform of {prim.GetPath()} is not finite.")
+        else:
+            parts.add_placed(*found, turn @ to_stage)
+    if dropped:
+        tell("left out: " + ", ".join(f"{count} prims {what}" for what, count in sorted(dropped.items())) + ".")
+    unit = UsdGeom.GetStageMetersPerUnit(stage)
+    if UsdGeom.StageHasAuthoredMetersPerUnit(stage) and unit != 1.0:
+        tell(f"its unit is {unit:g} m; lengths are not scaled.")
+    if any(_varies(prim) for prim in stage.Traverse()):
+        tell("it is animated; it is drawn as at its first time sample.")
+    return parts.triangles()
+
+
+def drawn_prims(stage: Any, time: Any, dropped: Counter[str]) -> Iterator[tuple[Any, np.ndarray]]:
+    """The prims with an extent that a renderer draws, each with its matrix to stage space, float64 (4, 4).
+
+    Prims that are invisible or of purpose guide or proxy are not, and are counted in ``dropped``, by the reason; the
+    prototypes of a point instancer are drawn where its instances are, and nowhere else.
+    """
+    yield from _drawn_below(stage.GetPseudoRoot(), np.eye(4), None, time, dropped, 0)
+
+
+def _drawn_below(
+    root: Any, root_to_stage: np.ndarray, root_to_world: np.ndarray | None, time: Any, dropped: Counter[str], depth: int
+) -> Iterator[tuple[Any, np.ndarray]]:
+    """Prims at and below ``root``; where it is a prototype, ``root_to_world`` is its matrix at its own place."""
+    from pxr import Usd, UsdGeom
+
+    from_root = np.eye(4) if root_to_world is None else root_to_stage @ np.linalg.inv(root_to_world)
+    prims = iter(Usd.PrimRange(root, Usd.TraverseInstanceProxies()))
+    for prim in prims:
+        if prim.IsPseudoRoot() or not prim.IsA(UsdGeom.Imageable):
+            continue
+        imageable = UsdGeom.Imageable(prim)
+        instancer = prim.IsA(UsdGeom.PointInstancer)
+        if instancer:
+            prims.PruneChildren()
+        if not (instancer or prim.IsA(UsdGeom.Boundable)) or prim.GetTypeName() in _WITHOUT_SURFACE:
+            continue
+        if imageable.ComputeVisibility(time) == UsdGeom.Tokens.invisible:
+            dropped["that are invisible"] += 1
+            continue
+        purpose = str(imageable.ComputePurpose())
+        if purpose in ("guide", "proxy"):
+            dropped[f"of purpose {purpose}"] += 1
+            continue
+        to_stage = from_root @ _world(imageable, time)
+        if not instancer:
+            yield prim, to_stage
+        elif depth >= _DEEPEST:
+            raise MeshError(f"the point instancer {prim.GetPath()} is a prototype of itself.")
+        else:
+            for prototype, matrix in _instances(UsdGeom.PointInstancer(prim), time):
+                own = _world(UsdGeom.Imageable(prototype), time)
+                yield from _drawn_below(prototype, to_stage @ matrix, own, time, dropped, depth + 1)
+
+
+def _instances(instancer: Any, time: Any) -> Iterator[tuple[Any, np.ndarray]]:
+    """Prototype and its matrix to the instancer's space of every instance that is not masked out."""
+    path = instancer.GetPath()
+    paths = instancer.GetPrototypesRel().GetForwardedTargets()
+    index = np.array(instancer.GetProtoIndicesAttr().Get(time) or [], np.int64)
+    check_indices(index, len(paths), what=f"an instance of {path}")
+    if len(instancer.GetPositionsAttr().Get(time) or []) != len(index):
+        raise MeshError(f"the point instancer {path} has not as many positions as instances.")
+    matrices = instancer.ComputeInstanceTransformsAtTime(time, time)
+    mask = instancer.ComputeMaskAtTime(time)
+    if mask:
+        index = index[np.array(mask, bool)]
+    if len(matrices) != len(index):
+        raise MeshError(f"the point instancer {path} has attributes of different lengths.")
+    for which, matrix in zip(index.tolist(), matrices, strict=True):
+        prototype = instancer.GetPrim().GetStage().GetPrimAtPath(paths[which])
+        if not prototype:
+            raise MeshError(f"the point instancer {path} names a prototype that is missing: {paths[which]}.")
+        yield prototype, np.array(matrix).T
+
+
+def _world(imageable: Any, time: Any) -> np.ndarray:
+    return np.array(imageable.ComputeLocalToWorldTransform(time)).T  # USD multiplies row vectors from the left
+
+
+def _varies(prim: Any) -> bool:
+    """Whether a transform or a shape changes with time."""
+    from pxr import UsdGeom
+
+    if prim.IsA(UsdGeom.Xformable) and UsdGeom.Xformable(prim).TransformMightBeTimeVarying():
+        return True
+    return prim.IsA(UsdGeom.Gprim) and any(
+        prim.GetAttribute(name).ValueMightBeTimeVarying() for name in ("points", "size", "radius", "height", "visibility")
+        if prim.HasAttribute(name)
+    )
+
+
+_WITHOUT_SURFACE = {
+    *("RectLight", "DiskLight", "SphereLight", "CylinderLight", "PortalLight", "GeometryLight", "DomeLight"),
+    *("DomeLight_1", "DistantLight", "PluginLight", "SkelRoot", "Skeleton", "Volume"),
+}
