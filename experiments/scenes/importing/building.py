@@ -29,7 +29,6 @@ FORMATS = {
     **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "usd"),
     ".xml": "mitsuba",
 }
-LARGEST = 1e12  # as in scene files
 _UNEVEN = 1e-6  # relative difference of scales along axes that says that a disc or sphere is none any more
 _DEPTHS = 1e5  # far over near, where a file has a far plane and no near one
 
@@ -141,8 +140,8 @@ def _check_extent(shape: Shape, pose: np.ndarray, name: str) -> None:
     used = shape.vertices[np.isfinite(shape.vertices).all(axis=1)]
     if len(used):
         corners = np.stack([used.min(axis=0), used.max(axis=0)])
-        if np.abs(corners @ pose[0, :3, :3].T + pose[0, :3, 3]).max() > LARGEST:
-            raise MeshError(f"{name!r} has coordinates beyond {LARGEST:g}.")
+        if np.abs(corners @ pose[0, :3, :3].T + pose[0, :3, 3]).max() > schema.LARGEST:
+            raise MeshError(f"{name!r} has coordinates beyond {schema.LARGEST:g}.")
 
 
 def _light(one: Any, scene: ImportedScene, options: schema.ImportingSceneFile, tell: Any) -> Light:
