@@ -143,7 +143,9 @@ class Composition:
             return scene_views(light_ws, receivers, casters, resolution)
         scene = Bounds()
         scene.add(np.concatenate([receivers.corners, casters.corners]))
-        faces = self.settings.partition == "faces"
+        faces = self.settings.partition == "faces" and eye.perspective
+        if self.settings.partition == "faces" and not faces:
+            self._note("a map for each side face", "an orthographic view's faces are parallel: one map is used")
         pieces = side_pieces(whole, eye) if faces else [(whole, eye)]
         views: list[HostView] = []
         for body, ahead in pieces:
@@ -227,8 +229,10 @@ class Composition:
             return projective_view(space, rows, resolution, choice)
         given = {"pseudo_near": shares[0], "pseudo_far": shares[1], "distance": self.settings.warp_distance}
         shape = warp_shape(space, body, eye, **given)
-        distance = self.warp.bounded_distance(shape)
-        if shape.gamma < LEAST_ANGLE and self.settings.warp != "none":
+        distance = self.warp.bounded_distance(shape) if eye.perspective else np.inf
+        if not eye.perspective and self.settings.warp != "none":
+            self._note("warp", "an orthographic view has no perspective aliasing that a warp would even out")
+        elif shape.gamma < LEAST_ANGLE and self.settings.warp != "none":
             self._note("warp", "light and view direction are less than a degree apart: nothing is better than none")
         depth = (body - eye.eye_ws) @ eye.forward_ws
         # the point with the nearest corner's depth on the view vector moves as the eye does; the corner itself jumps
