@@ -190,6 +190,9 @@ def new_technique(
 
 def main() -> None:
     """Runs the command line and ends the process with its exit status."""
+    from experiments.commands.failures import show_warnings_once
+
+    show_warnings_once()
     try:
         app(prog_name="wkernels")
     except KeyboardInterrupt:

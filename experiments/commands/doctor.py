@@ -21,7 +21,7 @@ from wkernels.device.launch import default_threads, launch
 _EXTRAS = {
     "view": {"viser": "viser"},
     "distributed": {"distributed": "distributed"},
-    "formats": {"pxr": "usd-core", "collada": "pycollada"},
+    "formats": {"pxr": "usd-core", "collada": "pycollada", "DracoPy": "DracoPy"},
     "peers": {"mitsuba": "mitsuba", "moderngl": "moderngl", "embreex": "embreex"},
 }
 _REQUIRED = ("warp-lang", "numpy", "scipy", "trimesh", "matplotlib", "OpenImageIO", "pydantic", "PyYAML", "pandas")

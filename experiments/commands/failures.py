@@ -1,4 +1,4 @@
-"""The end of a command that failed: the user's mistake in one message, a defect with its traceback in a log file."""
+"""What a command says on stderr: a mistake of the user in one message, a defect with a log file, warnings in a line."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import platform
 import sys
 import tempfile
 import traceback
+import warnings
 from pathlib import Path
 
 from wkernels import __version__
@@ -33,6 +34,19 @@ def report_failure(error: Exception) -> int:
     else:
         traceback.print_exception(error)
     return DEFECT
+
+
+def show_warnings_once() -> None:
+    """From here on a warning is one line on stderr, without the place in our code, and the same words come once."""
+    shown: set[str] = set()
+
+    def show(message: Warning | str, category: type[Warning], *_: object) -> None:
+        text = f"warning: {message}" if issubclass(category, UserWarning) else f"{category.__name__}: {message}"
+        if text not in shown:
+            shown.add(text)
+            print(text, file=sys.stderr)
+
+    warnings.showwarning = show
 
 
 def _write_log(text: str) -> Path | None:

@@ -28,7 +28,7 @@ class CameraPath:
     Attributes:
         eye_target: Maps frame numbers (n,) to eyes and targets, float64 (n, 6); holds its ends.
         options: What does not change along the path.
-        ups: Maps frame numbers (n,) to vertical axes, float64 (n, 3), of a camera that rolls; None: that of ``options``.
+        ups: Maps frame numbers (n,) to vertical axes, float64 (n, 3), of a camera that rolls; None: ``options`` has it.
     """
 
     eye_target: Callable[[np.ndarray], np.ndarray]

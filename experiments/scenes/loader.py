@@ -15,9 +15,11 @@ from experiments.scenes import generators, primitives, schema
 from experiments.scenes.cameras import CameraPath, camera_path
 from experiments.scenes.files import read_triangles
 from experiments.scenes.importing.building import import_file, imported_camera
+from experiments.scenes.importing.schema import ImportingSceneFile
 from experiments.scenes.lights import build_light
-from experiments.scenes.place import Place, free_name, misspelt
+from experiments.scenes.place import FreeNames, Place, misspelt
 from experiments.scenes.poses import KeyframedPose, Moving, pose
+from experiments.scenes.primitives import Triangles
 from wkernels.errors import nearest
 from wkernels.scene.lights import Light
 from wkernels.scene.model import Mesh, Scene
@@ -48,8 +50,10 @@ def scene_from_source(source: Source, loc: tuple[str | int, ...] = (), *, base: 
         return _importing_scene(place, name)
     scene_file = place.validated(schema.SceneFile)
     meshes: list[Mesh] = []
+    names = FreeNames()
+    files: dict[str, Triangles] = {}
     for i in range(len(scene_file.meshes)):
-        _add_meshes(meshes, place.at("meshes", i))
+        _add_meshes(meshes, place.at("meshes", i), names, files)
     lights = tuple(build_light(place.at("lights", i)) for i in range(len(scene_file.lights)))
     camera, frames = camera_path(scene_file.camera, scene_file.path, place)
     if name is None:
@@ -60,11 +64,12 @@ def scene_from_source(source: Source, loc: tuple[str | int, ...] = (), *, base: 
 
 def _importing_scene(place: Place, name: str | None) -> Scene:
     """The scene of a file that imports another one, its own keys beside it."""
-    scene_file = place.validated(schema.ImportingSceneFile)
+    scene_file = place.validated(ImportingSceneFile)
     imported = import_file(scene_file, place)
     meshes = list(imported.meshes)
+    files: dict[str, Triangles] = {}
     for i in range(len(scene_file.meshes)):
-        _add_meshes(meshes, place.at("meshes", i))
+        _add_meshes(meshes, place.at("meshes", i), imported.names, files)
     lights: list[Light] = []
     for i, item in enumerate(["from_file"] if scene_file.lights == "from_file" else scene_file.lights):
         lights += imported.lights if item == "from_file" else [build_light(place.at("lights", i))]
@@ -76,8 +81,11 @@ def _importing_scene(place: Place, name: str | None) -> Scene:
     return Scene(name, tuple(meshes), tuple(lights), camera, frames, digest, imported.notes)
 
 
-def _add_meshes(meshes: list[Mesh], place: Place) -> None:
-    """Appends what one entry of ``meshes`` stands for: one mesh, or all parts of a generator."""
+def _add_meshes(meshes: list[Mesh], place: Place, names: FreeNames, files: dict[str, Triangles]) -> None:
+    """Appends what one entry of ``meshes`` stands for: one mesh, or all parts of a generator.
+
+    ``files`` holds what was read for this scene already: a file that is named often is read and told of once.
+    """
     kind = _mesh_kind(place)
     if kind == "generate":
         name = place.data["generate"]
@@ -89,23 +97,22 @@ def _add_meshes(meshes: list[Mesh], place: Place) -> None:
     elif kind == "file":
         options = file_options = place.validated(schema.MeshFile)
         default = Path(file_options.file.removeprefix("warp:")).stem
-        parts = [Mesh(options.name or default, *read_triangles(file_options.file, place.at("file")))]
+        if file_options.file not in files:
+            files[file_options.file] = read_triangles(file_options.file, place.at("file"))
+        parts = [Mesh(options.name or default, *files[file_options.file])]
     else:
         options = place.validated(place.choice("primitive", schema.PRIMITIVES))
         parts = [Mesh(options.name or place.data["primitive"], *primitives.triangulate(options))]
     object_to_ws = pose(options.transform, options.motion, place)
     moving = isinstance(object_to_ws, KeyframedPose) and object_to_ws.moving
-    taken = {mesh.name for mesh in meshes}
-    if options.name is not None and any(part.name in taken for part in parts):
+    if options.name is not None and any(part.name in names for part in parts):
         raise place.at("name").error(f"another mesh has the name '{options.name}' already.")
     for part in parts:
-        name = free_name(part.name, taken)
-        taken.add(name)
         diffuse = options.diffuse or (_DIFFUSE if kind != "generate" else part.diffuse)
         meshes.append(
             replace(
                 part,
-                name=name,
+                name=names.take(part.name),
                 diffuse=diffuse,
                 casts=options.casts and part.casts,
                 receives=options.receives and part.receives,

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import difflib
-import itertools
-from collections.abc import Container, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -77,8 +76,21 @@ def misspelt(key: str, data: Iterable[str]) -> str | None:
     return close[0] if close and close[0] != key else None
 
 
-def free_name(name: str, taken: Container[str]) -> str:
-    """The name, or with a number behind it where it is taken."""
-    if name not in taken:
-        return name
-    return next(f"{name}_{i}" for i in itertools.count(2) if f"{name}_{i}" not in taken)
+class FreeNames:
+    """Names that are taken, and the next number for each that is asked for again: many meshes share a name."""
+
+    def __init__(self) -> None:
+        self._next: dict[str, int] = {}
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._next
+
+    def take(self, name: str) -> str:
+        """The name itself where it is free, else with the least number behind it, from 2, that is."""
+        free, number = name, self._next.get(name, 1)
+        while free in self._next:
+            number += 1
+            free = f"{name}_{number}"
+        self._next[name] = number
+        self._next.setdefault(free, 1)
+        return free

@@ -14,6 +14,8 @@ from experiments.scenes.schema import Motion, Transform
 
 def matrix(transform: Transform) -> np.ndarray:
     """Object to parent space, float64 (4, 4): scale, rotate about the fixed axes x, y, z in this order, translate."""
+    if not any(transform.rotate_deg):  # of most meshes, where there are thousands
+        return _compose(np.array(transform.translate), np.eye(3), np.array(transform.scale))
     rotation = Rotation.from_euler("xyz", transform.rotate_deg, degrees=True).as_matrix()
     return _compose(np.array(transform.translate), rotation, np.array(transform.scale))
 

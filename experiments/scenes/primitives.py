@@ -6,7 +6,9 @@ from outside. Flat ones lie in XZ with normal +Y.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -86,4 +88,12 @@ def triangulate(options: schema.MeshOptions) -> Triangles:
         for key in type(options).model_fields
         if key != "primitive" and key not in schema.MeshOptions.model_fields
     }
-    return PRIMITIVES[type(options)](**own)
+    return _shape(PRIMITIVES[type(options)], tuple(own.items()))
+
+
+@functools.lru_cache(maxsize=64)
+def _shape(primitive: Callable[..., Triangles], own: tuple[tuple[str, Any], ...]) -> Triangles:
+    """One pair of arrays for all meshes of the same size, not to be written to: scenes repeat their primitives."""
+    vertices, faces = primitive(**dict(own))
+    vertices.flags.writeable = faces.flags.writeable = False
+    return vertices, faces

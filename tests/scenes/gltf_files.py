@@ -72,7 +72,10 @@ class GltfFile:
         """An animation of tracks (node, path, times, values)."""
         samplers, channels = [], []
         for node, path, times, values in tracks:
-            keys = {"input": self.accessor(np.asarray(times, float)), "output": self.accessor(np.asarray(values, float))}
+            keys = {
+                "input": self.accessor(np.asarray(times, float)),
+                "output": self.accessor(np.asarray(values, float)),
+            }
             samplers.append({**keys, "interpolation": kind})
             channels.append({"sampler": len(samplers) - 1, "target": {"node": node, "path": path}})
         self._add("animations", {"name": name, "samplers": samplers, "channels": channels})

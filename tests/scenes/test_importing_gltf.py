@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gltf_files import GltfFile
 
 from experiments import reference_visibility
 from experiments.scenes import load_scene, primitives
-from gltf_files import GltfFile
 from wkernels.errors import InputError
 from wkernels.scene.geometry import Geometry
 from wkernels.temporal.mesh_motion import mesh_motion
@@ -182,7 +182,9 @@ def test_skin_and_morph_targets_deform(tmp_path: Path) -> None:
         attributes={"JOINTS_0": file.accessor(joints), "WEIGHTS_0": file.accessor(weights)},
     )
     lifted = file.mesh(
-        strip + [3, 0, 0], [[0, 1, 2], [0, 2, 3]], targets=[{"POSITION": file.accessor(np.tile([0.0, 1.0, 0.0], (4, 1)))}]
+        strip + np.array([3, 0, 0]),
+        [[0, 1, 2], [0, 2, 3]],
+        targets=[{"POSITION": file.accessor(np.tile([0.0, 1.0, 0.0], (4, 1)))}],
     )
     low = file.node(name="low")
     high = file.node(name="high", translation=[0, 0, 0])
@@ -203,12 +205,12 @@ def test_skin_and_morph_targets_deform(tmp_path: Path) -> None:
     assert [shape[name].moving for name in ("skinned", "lifted")] == [True, True]
     np.testing.assert_allclose(shape["skinned"].vertices_at(2), strip + np.outer([0, 0, 1, 1], [0.5, 0, 0]))
     np.testing.assert_allclose(shape["skinned"].object_to_ws(2), np.eye(4))
-    np.testing.assert_allclose(shape["lifted"].vertices_at(4), strip + [3, 1, 0])
+    np.testing.assert_allclose(shape["lifted"].vertices_at(4), strip + np.array([3, 1, 0]))
     at_end = {
         "meshes": [
             {"primitive": "plane", "size": [12, 12]},
             {"file": str(_obj(tmp_path / "a.obj", shape["skinned"].vertices_at(4)))},
-            {"file": str(_obj(tmp_path / "b.obj", strip + [3, 1, 0]))},
+            {"file": str(_obj(tmp_path / "b.obj", strip + np.array([3, 1, 0])))},
         ],
         "camera": {"eye": [0, 5, 9], "target": [0, 1, 0], "far": scene.camera(0).far, "near": scene.camera(0).near},
         "lights": [{"kind": "point", "position": [0, 6, -3]}],
@@ -254,13 +256,20 @@ def with_view(path: Path, **more: Any) -> dict[str, Any]:
 
 def test_instances_and_mirrors(tmp_path: Path) -> None:
     file, _, box = plane_and_box()
-    attributes = {"TRANSLATION": file.accessor([[0.0, 0, 0], [3, 0, 0]]), "SCALE": file.accessor([[1.0, 1, 1], [2, 2, 2]])}
-    file.node(mesh=box, name="two", translation=[0, 1, 0], extensions={"EXT_mesh_gpu_instancing": {"attributes": attributes}})
+    attributes = {
+        "TRANSLATION": file.accessor([[0.0, 0, 0], [3, 0, 0]]),
+        "SCALE": file.accessor([[1.0, 1, 1], [2, 2, 2]]),
+    }
+    file.node(
+        mesh=box, name="two", translation=[0, 1, 0], extensions={"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+    )
     file.node(mesh=box, name="mirror", scale=[-1, 1, 1])
     file.json |= {"extensionsUsed": ["EXT_mesh_gpu_instancing"], "extensionsRequired": ["EXT_mesh_gpu_instancing"]}
     scene = load_scene(with_view(file.write(tmp_path / "i.gltf")))
     assert [mesh.name for mesh in scene.meshes] == ["two", "two_2", "mirror"]
-    np.testing.assert_allclose(scene.meshes[1].object_to_ws(0), [[2, 0, 0, 3], [0, 2, 0, 1], [0, 0, 2, 0], [0, 0, 0, 1]])
+    np.testing.assert_allclose(
+        scene.meshes[1].object_to_ws(0), [[2, 0, 0, 3], [0, 2, 0, 1], [0, 0, 2, 0], [0, 0, 0, 1]]
+    )
     np.testing.assert_array_equal(scene.meshes[2].faces, scene.meshes[0].faces[:, ::-1])
 
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_importing_gltf import same_visibility
 
 from experiments.scenes import load_scene
-from test_importing_gltf import same_visibility
 from wkernels.errors import InputError
 
 SCENE = """\

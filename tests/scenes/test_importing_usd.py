@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_importing_gltf import same_visibility
 
 from experiments.scenes import load_scene
-from test_importing_gltf import same_visibility
 from wkernels.errors import InputError
 
 pytest.importorskip("pxr")
@@ -173,7 +173,7 @@ def test_vertices_that_move(tmp_path: Path) -> None:
     mesh.CreateFaceVertexIndicesAttr([0, 1, 2])
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 0, 1]])
     for time in (0, 4):
-        mesh.CreatePointsAttr().Set([Gf.Vec3f(*p) for p in (points + [0, time, 0]).tolist()], time)
+        mesh.CreatePointsAttr().Set([Gf.Vec3f(*p) for p in (points + np.array([0, time, 0])).tolist()], time)
     stage.Save()
     scene = load_scene(
         {
@@ -183,7 +183,7 @@ def test_vertices_that_move(tmp_path: Path) -> None:
         }
     )
     assert scene.frames == 5 and scene.meshes[0].moving
-    np.testing.assert_allclose(scene.meshes[0].vertices_at(3), points + [0, 3, 0])
+    np.testing.assert_allclose(scene.meshes[0].vertices_at(3), points + np.array([0, 3, 0]))
 
 
 def skinned_stage(path: Path) -> None:

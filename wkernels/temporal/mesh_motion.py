@@ -10,7 +10,6 @@ import warp as wp
 from wkernels.frame.session import Session
 from wkernels.scene.geometry import Geometry
 
-
 NOWHERE = 1e15
 """Scene units; beyond every coordinate of a scene, and squares of it are finite in float32."""
 

@@ -7,7 +7,6 @@ import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,9 +14,11 @@ from pydantic import ValidationError
 
 from experiments.scenes import schema
 from experiments.scenes.cameras import CameraPath, camera_path, check_lens
+from experiments.scenes.files import MeshWarning
 from experiments.scenes.importing.description import Asked, ImportedCamera, ImportedScene, Shape, each_frame
+from experiments.scenes.importing.schema import ImportingSceneFile
 from experiments.scenes.meshes.reading import MeshError
-from experiments.scenes.place import Place, free_name
+from experiments.scenes.place import FreeNames, Place
 from experiments.scenes.poses import SampledPose, StaticPose
 from wkernels.errors import nearest
 from wkernels.scene.light_motion import transformed
@@ -39,17 +40,19 @@ class Imported:
 
     Attributes:
         meshes, lights: Of the file.
+        names: Those of the meshes.
         scene: The description.
         notes: Sentences for ``explain``.
     """
 
     meshes: tuple[Mesh, ...]
     lights: tuple[Light, ...]
+    names: FreeNames
     scene: ImportedScene
     notes: tuple[str, ...]
 
 
-def import_file(options: schema.ImportingSceneFile, place: Place) -> Imported:
+def import_file(options: ImportingSceneFile, place: Place) -> Imported:
     """Reads the file that the scene at ``place`` imports; warns of what is left out.
 
     Raises:
@@ -65,17 +68,18 @@ def import_file(options: schema.ImportingSceneFile, place: Place) -> Imported:
     def tell(message: str) -> None:
         if message not in left_out:
             left_out.append(message)
-            warnings.warn(str(at.error(f"'{path}': {message}")), stacklevel=2)
+            warnings.warn(MeshWarning(str(at.error(f"'{path}': {message}"))), stacklevel=2)
 
     reader = importlib.import_module(f"experiments.scenes.importing.{FORMATS[suffix]}")
     try:
         scene: ImportedScene = reader.read(path, Asked(options.fps, options.animation, tell))
-        meshes = _meshes(scene, tell)
+        names = FreeNames()
+        meshes = _meshes(scene, names, tell)
         lights = tuple(_light(one, scene, options, tell) for one in scene.lights)
     except MeshError as error:
         raise at.error(f"'{path}': {error}") from None
     notes = [f"{path.name}: {_came_in(scene, meshes)}", *scene.notes, *left_out]
-    return Imported(meshes, lights, scene, tuple(notes))
+    return Imported(meshes, lights, names, scene, tuple(notes))
 
 
 def _came_in(scene: ImportedScene, meshes: Sequence[Mesh]) -> str:
@@ -94,10 +98,10 @@ def _came_in(scene: ImportedScene, meshes: Sequence[Mesh]) -> str:
     )
 
 
-def _meshes(scene: ImportedScene, tell: Any) -> tuple[Mesh, ...]:
+def _meshes(scene: ImportedScene, names: FreeNames, tell: Any) -> tuple[Mesh, ...]:
     shapes = [_finite(shape, tell) for shape in scene.shapes]
     mirrored: dict[int, np.ndarray] = {}  # faces by shape, shared like those that are not
-    meshes, taken, numbers = [], set(), Counter[str]()
+    meshes = []
     for one in scene.instances:
         shape = shapes[one.shape]
         if not len(shape.faces):
@@ -109,13 +113,9 @@ def _meshes(scene: ImportedScene, tell: Any) -> tuple[Mesh, ...]:
         faces = shape.faces
         if np.linalg.det(pose[0, :3, :3]) < 0.0:
             faces = mirrored.setdefault(one.shape, np.ascontiguousarray(faces[:, ::-1]))
-        numbers[one.name] += 1
-        name = one.name if numbers[one.name] == 1 else f"{one.name}_{numbers[one.name]}"
-        name = free_name(name, taken)
-        taken.add(name)
         sampled = SampledPose(pose)
         mesh = Mesh(
-            name,
+            names.take(one.name),
             shape.vertices,
             faces,
             object_to_ws=sampled if len(pose) > 1 else StaticPose(pose[0]),
@@ -144,7 +144,7 @@ def _check_extent(shape: Shape, pose: np.ndarray, name: str) -> None:
             raise MeshError(f"{name!r} has coordinates beyond {schema.LARGEST:g}.")
 
 
-def _light(one: Any, scene: ImportedScene, options: schema.ImportingSceneFile, tell: Any) -> Light:
+def _light(one: Any, scene: ImportedScene, options: ImportingSceneFile, tell: Any) -> Light:
     pose = each_frame(scene.to_scene @ one.pose)
     light: Light = one.light
     if not (np.isfinite(pose).all() and np.isfinite(light.radiance).all()):
@@ -165,7 +165,7 @@ def _light(one: Any, scene: ImportedScene, options: schema.ImportingSceneFile, t
     return replace(light, motion=sampled) if sampled.moving else transformed(light, pose[0])
 
 
-def imported_camera(options: schema.ImportingSceneFile, imported: Imported, place: Place) -> tuple[CameraPath, int]:
+def imported_camera(options: ImportingSceneFile, imported: Imported, place: Place) -> tuple[CameraPath, int]:
     """The camera of a scene that imports a file, and the number of its frames.
 
     Raises:
@@ -214,7 +214,9 @@ def _lens(camera: ImportedCamera, keys: schema.CameraOptions, imported: Imported
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise at.error(f"{where} of the file's camera '{camera.name}' cannot be used: {first['msg'].lower()}.") from None
+        raise at.error(
+            f"{where} of the file's camera '{camera.name}' cannot be used: {first['msg'].lower()}."
+        ) from None
 
 
 def _reach(camera: ImportedCamera, imported: Imported) -> float:

@@ -69,9 +69,8 @@ class _Reader:
         for mode, materials in sorted(self._not_opaque.items()):
             self._tell(f"{len(materials)} materials with alphaMode {mode} are drawn opaque.")
         if self._animation.frames > 1:
-            self._out.notes.append(
-                f"animation {self._animation.name!r}: {self._animation.frames} frames at {self._animation.fps:g} per second"
-            )
+            frames = f"{self._animation.frames} frames at {self._animation.fps:g} per second"
+            self._out.notes.append(f"animation {self._animation.name!r}: {frames}")
         return self._out
 
     def _add_mesh(self, index: int, node: dict[str, Any], worlds: dict[int, np.ndarray]) -> None:

@@ -83,7 +83,9 @@ class _Reader:
         from pxr import Usd
 
         stage = self._stage
-        rest = [Usd.TimeCode(stage.GetStartTimeCode()) if stage.HasAuthoredTimeCodeRange() else Usd.TimeCode.EarliestTime()]
+        rest = [
+            Usd.TimeCode(stage.GetStartTimeCode()) if stage.HasAuthoredTimeCodeRange() else Usd.TimeCode.EarliestTime()
+        ]
         if asked.animation not in (None, "none"):
             raise MeshError(f"has no animation {asked.animation!r}: a stage has only one.")
         start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
@@ -138,7 +140,9 @@ class _Reader:
         for key in order:
             self._add_mesh(drawn[key], dropped)
         if dropped:
-            self._tell("left out: " + ", ".join(f"{count} prims {what}" for what, count in sorted(dropped.items())) + ".")
+            self._tell(
+                "left out: " + ", ".join(f"{count} prims {what}" for what, count in sorted(dropped.items())) + "."
+            )
 
     def _drawn_at(self, time: Any, dropped: Counter[str]) -> dict[Key, _Drawn]:
         copies: Counter[str] = Counter()
@@ -176,7 +180,9 @@ class _Reader:
                 return None
             positions.append(np.asarray(found[0]))
         stacked = np.array(positions, np.float32 if max(map(len, positions)) > 100_000 else np.float64)
-        return None if np.array_equal(stacked, np.broadcast_to(stacked[:1], stacked.shape)) else SampledVertices(stacked)
+        return (
+            None if np.array_equal(stacked, np.broadcast_to(stacked[:1], stacked.shape)) else SampledVertices(stacked)
+        )
 
     # ---- lights and cameras ----
 

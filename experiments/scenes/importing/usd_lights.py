@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -73,9 +74,7 @@ def usd_light(prim: Any, time: Any, tell: Callable[[str], None]) -> Light | None
 
 
 def _shining(light: Light, prim: Any, time: Any, area: float) -> Light:
-    """The light with its radiance: intensity, exposure, colour and temperature; over its area where it is normalised."""
-    from dataclasses import replace
-
+    """The light with its radiance: intensity, exposure, colour, temperature; over its area where it is normalised."""
     from pxr import UsdLux
 
     api = UsdLux.LightAPI(prim)
@@ -100,6 +99,9 @@ def _tell_of_shaping(prim: Any, time: Any, tell: Callable[[str], None]) -> None:
     if enabled and enabled.Get(time) is False:
         tell(f"light {prim.GetPath()} is to cast no shadows; it casts them.")
     for name in ("lightLink", "shadowLink"):
-        targets = prim.GetRelationship(f"collection:{name}:includes"), prim.GetRelationship(f"collection:{name}:excludes")
+        targets = (
+            prim.GetRelationship(f"collection:{name}:includes"),
+            prim.GetRelationship(f"collection:{name}:excludes"),
+        )
         if any(relation and relation.GetTargets() for relation in targets):
             tell(f"the {name} of light {prim.GetPath()} is left out: it reaches everything.")

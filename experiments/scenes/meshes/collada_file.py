@@ -16,10 +16,14 @@ from experiments.scenes.meshes.reading import MeshError, Parts, Tell, check_indi
 from experiments.scenes.primitives import Triangles
 
 
+_WITHOUT_GEOMETRY = ("image", "texture", "sampler", "surface", "material", "effect", "camera", "light", "animation")
+"""Words of errors that leave the geometry whole."""
+
+
 def read(path: Path, tell: Tell) -> Triangles:
     """All triangles of the scene, turned so that y is up; lengths stay in the file's units."""
     if importlib.util.find_spec("collada") is None:
-        raise MeshError("is Collada, which needs an extra: pip install 'wkernels[formats]'.")
+        raise MeshError("Collada files need an extra: pip install 'wkernels[formats]'.")
     import collada
 
     try:
@@ -28,9 +32,9 @@ def read(path: Path, tell: Tell) -> Triangles:
             document = collada.Collada(str(path), ignore=[collada.common.DaeError])
     except Exception as error:  # of pycollada and of the XML parser below it
         raise MeshError(f"cannot be read: {one_line(error)}.") from None
-    surfaces = (collada.common.DaeBrokenRefError, collada.common.DaeUnsupportedError)  # images that are missing, ...
     for error in document.errors:
-        if not isinstance(error, surfaces):
+        broken = not isinstance(error, collada.common.DaeUnsupportedError)
+        if broken and not any(word in str(error).lower() for word in _WITHOUT_GEOMETRY):
             raise MeshError(f"cannot be read: {one_line(error)}.")
         tell(f"left out: {one_line(error)}.")
     if document.scene is None:
@@ -76,9 +80,7 @@ def _primitive(primitive: Any, owner: str, tell: Tell) -> Triangles | None:
     if not isinstance(primitive, (Polylist, TriangleSet)):
         tell(f"left out: {type(primitive).__name__} of geometry {owner}.")
         return None
-    if primitive.vertex is None:
-        return None
-    vertices = np.asarray(primitive.vertex, np.float64).reshape(-1, 3)
+    vertices = np.asarray(primitive.sources["VERTEX"][0][4].data, np.float64).reshape(-1, 3)
     indices = np.zeros(0, np.int64)
     if primitive.vertex_index is not None:
         indices = np.asarray(primitive.vertex_index, np.int64).ravel()

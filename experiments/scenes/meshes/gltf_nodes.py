@@ -80,7 +80,9 @@ def instances(document: Document, index: int) -> list[np.ndarray]:
     if INSTANCING not in extensions:
         return [np.eye(4)]
     attributes = document.get(document.get(extensions, INSTANCING, dict, {}), "attributes", dict, {})
-    found = {key: document.accessor(attributes[key]) for key in ("TRANSLATION", "ROTATION", "SCALE") if key in attributes}
+    found = {
+        key: document.accessor(attributes[key]) for key in ("TRANSLATION", "ROTATION", "SCALE") if key in attributes
+    }
     lengths = {len(values) for values in found.values()}
     if len(lengths) != 1:
         raise MeshError(f"the instances of node {index} have attributes of different lengths, or none.")

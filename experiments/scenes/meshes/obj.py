@@ -48,7 +48,7 @@ def read(path: Path, tell: Tell) -> Triangles:
         tell("left out: " + ", ".join(f"{count} {what}" for what, count in dropped.items()) + ".")
     vertices = np.array(points, np.float64).reshape(-1, 3)
     corners_of, flat = np.array(counts, np.int64), np.array(indices, np.int64)
-    check_indices(flat, len(vertices), np.repeat(np.array(face_lines, np.int64), corners_of))
+    check_indices(flat, len(vertices), np.repeat(np.array(face_lines, np.int64), corners_of), base=1)
     return vertices, triangulate(vertices, corners_of, flat)
 
 

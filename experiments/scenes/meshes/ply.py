@@ -53,7 +53,8 @@ def read(path: Path, tell: Tell) -> Triangles:
             if columns.get(name):
                 raise MeshError(f"its element {name} has no list {' or '.join(_INDICES)}.")
             continue
-        indices = lists.values.astype(np.int64)
+        with np.errstate(invalid="ignore"):
+            indices = lists.values.astype(np.int64)
         if not np.array_equal(indices, lists.values):
             raise MeshError("a face uses a vertex whose number is not whole.")
         lines = None if lists.lines is None else np.repeat(lists.lines, lists.counts)

@@ -92,9 +92,12 @@ def number_of(word: bytes, line: int | None) -> float:
 def integer_of(word: bytes, line: int | None) -> int:
     """A word as a whole number; raises MeshError."""
     try:
-        return int(word)
+        value = int(word)
     except ValueError:
         raise MeshError(f"{shown(word)} is not a whole number.", line) from None
+    if abs(value) >= 1 << 62:
+        raise MeshError(f"{shown(word)} is too large a number.", line)
+    return value
 
 
 def position_of(words: list[bytes], line: int) -> tuple[float, float, float]:
@@ -107,13 +110,23 @@ def position_of(words: list[bytes], line: int) -> tuple[float, float, float]:
         raise MeshError(f"{shown(b' '.join(words[:3]))} is no vertex of three numbers.", line) from None
 
 
-def check_indices(indices: np.ndarray, vertices: int, lines: np.ndarray | None = None, what: str = "a face") -> None:
-    """Raises MeshError where a vertex index lies outside 0 ... vertices - 1; ``lines`` has the line of every index."""
+def check_indices(
+    indices: np.ndarray, vertices: int, lines: np.ndarray | None = None, what: str = "a face", base: int = 0
+) -> None:
+    """Raises MeshError where a vertex index lies outside 0 ... vertices - 1.
+
+    Args:
+        indices: Counted from 0.
+        vertices: How many there are.
+        lines: The line of every index, where the format has lines.
+        what: What uses them.
+        base: What the format counts from.
+    """
     bad = np.flatnonzero((indices < 0) | (indices >= vertices))
     if len(bad):
         line = None if lines is None else int(lines[bad[0]])
         raise MeshError(
-            f"{what} uses vertex number {indices[bad[0]]} (counted from 0), but there are {vertices} vertices.", line
+            f"{what} uses vertex {indices[bad[0]] + base}, but they run from {base} to {vertices - 1 + base}.", line
         )
 
 

@@ -39,10 +39,10 @@ def _read_text(data: bytes) -> Triangles:
     last = 0
     for line, words in word_lines(data, comment=b"\0"):
         lower = [word.lower() for word in words]
-        if lower[0] in (b"solid", b"endsolid"):
-            continue  # a name may hold any word
         i = 0
         while i < len(words):
+            if lower[i] in (b"solid", b"endsolid"):
+                break  # the rest is a name, which may hold any word
             if lower[i] == b"loop":
                 loop = 0
             elif lower[i] == b"vertex":

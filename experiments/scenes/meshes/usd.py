@@ -21,7 +21,7 @@ _DEEPEST = 16  # levels of instancers within prototypes
 def read(path: Path, tell: Tell) -> Triangles:
     """All triangles at the first time sample, turned so that y is up; lengths stay in the stage's units."""
     if importlib.util.find_spec("pxr") is None:
-        raise MeshError("is USD, which needs an extra: pip install 'wkernels[formats]'.")
+        raise MeshError("USD files need an extra: pip install 'wkernels[formats]'.")
     from pxr import Tf, Usd, UsdGeom
 
     try:
@@ -131,7 +131,8 @@ def _varies(prim: Any) -> bool:
     if prim.IsA(UsdGeom.Xformable) and UsdGeom.Xformable(prim).TransformMightBeTimeVarying():
         return True
     return prim.IsA(UsdGeom.Gprim) and any(
-        prim.GetAttribute(name).ValueMightBeTimeVarying() for name in ("points", "size", "radius", "height", "visibility")
+        prim.GetAttribute(name).ValueMightBeTimeVarying()
+        for name in ("points", "size", "radius", "height", "visibility")
         if prim.HasAttribute(name)
     )
 
