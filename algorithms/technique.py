@@ -17,6 +17,7 @@ from wkernels.light_maps.light_map import BIAS_CONSTANT, BIAS_NONE, BIAS_NORMAL,
 from wkernels.raster import CULL_FRONT, CULL_NONE
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.workspace.left_out import Omission
+from wkernels.workspace.products import Product
 
 ALL_LIGHTS = frozenset({"point", "directional", "rectangle", "disc", "sphere", "linear", "polygon"})
 
@@ -143,6 +144,7 @@ class Technique(ABC):
             contradicted, in the conformance check's scenes.
         limits: What it must equal in the limit; tested.
         expected_failures: Conformance checks that the published method cannot pass.
+        products: What it pulls of a frame, with whatever parameters; tested.
         may_leave_out: What the technique itself leaves out where it is not needed, besides what every session does;
             ``explain`` tells it.
         stability_limits: Stiff cases (``kinds.stability``) in which the published method breaks by nature, each
@@ -157,6 +159,7 @@ class Technique(ABC):
     bias_sign: ClassVar[Literal["darker", "lighter", "none"]]
     limits: ClassVar[tuple[Limit, ...]] = ()
     expected_failures: ClassVar[tuple[ExpectedFailure, ...]] = ()
+    products: ClassVar[tuple[Product, ...]] = ()
     may_leave_out: ClassVar[tuple[Omission, ...]] = ()
     stability_limits: ClassVar[dict[str, str]] = {}
     Params: ClassVar[type[Params]] = Params
@@ -168,11 +171,15 @@ class Technique(ABC):
     def all_lights(self) -> bool:
         """Whether the visibility is that of all the scene's lights together, with these parameters.
 
-        That is the mean of each light's visibility, weighted by radiance (``temporal.many_lights.light_weights``), and
-        so is the reference that it is scored by. An experiment whose scene has several lights has techniques of one
-        sort only. ``lights``, a parameter of techniques that can do either, says so unless overridden.
+        That is the mean of each light's visibility, weighted by radiance (``many_lights.light_weights``), and so is the
+        reference that it is scored by. An experiment whose scene has several lights has techniques of one sort only.
+        ``lights``, a parameter of techniques that can do either, says so unless overridden.
         """
         return getattr(self.params, "lights", "asked") != "asked"
+
+    def leaves_out(self) -> tuple[Omission, ...]:
+        """Those of ``may_leave_out`` that can happen with these parameters."""
+        return self.may_leave_out
 
     @abstractmethod
     def render(self, frame: Frame) -> wp.array:
@@ -190,6 +197,7 @@ class MapTechnique(Technique):
     G-buffer and map are pulled here, and scenes that need no map end here; the file says how a map becomes visibility.
     """
 
+    products = (Product.G_BUFFER, Product.LIGHT_MAP)
     Params: ClassVar[type[Params]] = MapParams
 
     @abstractmethod

@@ -10,7 +10,7 @@ import numpy as np
 from algorithms.plugins import find
 from algorithms.projections.composition import compose
 from algorithms.technique import Technique
-from experiments.rendering.reference import reference_for
+from experiments.rendering.reference import ReferenceRenderer
 from wkernels.frame.session import FrameResult, Session
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.model import Scene
@@ -111,4 +111,4 @@ def true_visibility(
     """
     width, height = size
     options = {"width": width, "height": height, "light": light, "centre": centre, "device": device}
-    return reference_for(Geometry(scene, device), samples=samples, frame=frame, **options).visibility
+    return ReferenceRenderer(Geometry(scene, device), samples=samples, **options).render(frame).visibility

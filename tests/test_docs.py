@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -40,13 +39,6 @@ def test_every_page_is_in_the_index() -> None:
     missing = [p.name for p in (ROOT / "docs").glob("*.md") if p.name != "README.md" and f"]({p.name})" not in index]
     assert not missing
     assert "(docs/README.md)" in (ROOT / "README.md").read_text(encoding="utf-8")
-
-
-def test_nothing_refers_to_documents_that_are_not_here() -> None:
-    words = ["CATA" + "LOGUE", "DES" + "IGN", "HO" + "USE"]  # in pieces, so that this file is not found
-    search = ["git", "grep", "-nE", "|".join(words)]
-    found = subprocess.run(search, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert found.returncode == 1 and not found.stdout, found.stdout + found.stderr
 
 
 def test_errata_are_complete_and_each_has_its_place() -> None:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import ast
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from source_tree import LAYERS, ROOT, imports_of, package_of, project_files, sources
 
 from algorithms.plugins import load_all
 
-ROOT = Path(__file__).parents[1]
-LAYERS = ("wkernels", "algorithms", "experiments")  # a layer imports only itself and those before it
 MAX_LINES = 400
 # written in pieces, so that this file does not contain what it looks for
 REGISTRIES = (
@@ -26,27 +24,7 @@ REGISTRIES = (
 )
 
 
-def sources(layer: str) -> list[Path]:
-    return sorted((ROOT / layer).rglob("*.py"))
-
-
 ALL = [path for layer in LAYERS for path in sources(layer)]
-
-
-def imports_of(text: str, package: str) -> Iterator[str]:
-    """Full names of the modules that a file imports anywhere in it; ``package`` is what relative imports start from."""
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            base = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
-            module = ".".join([*base, *([node.module] if node.module else [])])
-            yield module
-            yield from (f"{module}.{alias.name}" for alias in node.names)
-
-
-def package_of(path: Path) -> str:
-    return ".".join(path.relative_to(ROOT).parent.parts)
 
 
 def forbidden(layer: str, imported: str) -> bool:
@@ -163,21 +141,6 @@ def test_launches_go_through_one_door() -> None:
         if isinstance(node, ast.Call) and ast.unparse(node.func) in ("wp.launch", "wp.launch_tiled")
     ]
     assert not wrong, wrong
-
-
-def project_files() -> list[Path]:
-    """Files that git tracks or would track; everything but caches where there is no git."""
-    listed = subprocess.run(
-        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
-        cwd=ROOT,
-        capture_output=True,
-        check=False,
-    )
-    if listed.returncode == 0 and listed.stdout:
-        found = [ROOT / name for name in listed.stdout.decode().split("\0") if name]
-    else:
-        found = [path for path in ROOT.rglob("*") if not any(part.startswith((".", "__")) for part in path.parts)]
-    return [path for path in found if path.is_file()]
 
 
 def test_no_file_names_a_package_registry() -> None:

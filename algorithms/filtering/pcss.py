@@ -39,13 +39,13 @@ from wkernels.light_maps.light_map import Bias, LightMap
 from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.light_maps.receivers import receiver_of_pixel
 from wkernels.raster.gbuffer import GBuffer
-from wkernels.workspace.left_out import Omission
+from wkernels.workspace.left_out import Because, Omission
 
 
 class Skip(Omission):
     """What a light without an area saves."""
 
-    TAPS = "taps of search and filter", "the light has no area"
+    TAPS = "taps of search and filter", Because.NO_AREA
 
 
 @wp.kernel

@@ -44,13 +44,13 @@ from wkernels.light_maps.host_map import HostMap
 from wkernels.light_maps.light_map import Bias, LightMap
 from wkernels.light_maps.receivers import receiver_of_pixel
 from wkernels.raster.gbuffer import GBuffer
-from wkernels.workspace.left_out import Omission
+from wkernels.workspace.left_out import Because, Omission
 
 
 class Skip(Omission):
     """What filters that change nothing save."""
 
-    TAPS_ALIKE = "taps of the search", "the light has no area"
+    TAPS_ALIKE = "taps of the search", Because.NO_AREA
     NO_BLUR = "blur of moments", "its kernel has one tap"
 
 
@@ -137,6 +137,9 @@ class Vsm(MapTechnique):
             if taps % 2 == 0:
                 raise ValueError(f"a filter has an odd number of taps, so {taps} is not possible: take {taps + 1}")
             return taps
+
+    def leaves_out(self) -> tuple[Omission, ...]:
+        return self.may_leave_out if self.params.taps == 1 else (Skip.TAPS_ALIKE,)
 
     def shade(self, frame: Frame, gbuffer: GBuffer, light_map: HostMap, visibility_out: wp.array) -> None:
         p = self.params

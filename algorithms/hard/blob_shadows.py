@@ -27,6 +27,7 @@ from algorithms.technique import Params as BaseParams
 from wkernels.casters.blobs import Blob, bounding_ellipsoid, distance_to_blob, placed_ellipsoid
 from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
 from wkernels.scene.geometry import RECEIVES
+from wkernels.workspace.products import Product
 
 
 @wp.struct
@@ -78,6 +79,7 @@ class BlobShadows(Technique):
     name = "blob_shadows"
     family = "hard"
     paper = ("schwaerzler2009",)
+    products = (Product.G_BUFFER,)
     bias_sign = "lighter"
     expected_failures = (
         ExpectedFailure(

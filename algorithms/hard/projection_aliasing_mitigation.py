@@ -32,6 +32,7 @@ from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.light_maps.receivers import receiver_of_pixel
 from wkernels.raster.gbuffer import PADDING, GBuffer, to_light
 from wkernels.scene.geometry import RECEIVES
+from wkernels.workspace.products import Product
 
 ANY_DEPTH = 1e30  # as a share of the pixel's own
 
@@ -105,6 +106,7 @@ class ProjectionAliasingMitigation(Technique):
     name = "projection_aliasing_mitigation"
     family = "hard"
     paper = ("scherzer2005", "stingl2011", "schwaerzler2009")
+    products = (Product.G_BUFFER, Product.LIGHT_MAP)
     bias_sign = "none"
     limits = (Limit(equals="shadow_map", params={"half_width": 0.0}),)
 

@@ -29,14 +29,15 @@ from wkernels.casters.flattening import Flattener, ReceiverPlane, receiver_plane
 from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
 from wkernels.sampling.estimators import standard_error
 from wkernels.scene.geometry import RECEIVES
-from wkernels.workspace.left_out import Omission
+from wkernels.workspace.left_out import Because, Omission
+from wkernels.workspace.products import Product
 
 
 class Skip(Omission):
     """What planes and lights save."""
 
     FLAT_NONE = "flattened casters", "no receiver is flat"
-    ALIKE = "flattened casters of light samples", "the light has no area"
+    ALIKE = "flattened casters of light samples", Because.NO_AREA
     UNSEEN = "flattened casters", "no pixel shows the plane"
 
 
@@ -93,6 +94,7 @@ class ProjectionShadows(Technique):
     name = "projection_shadows"
     family = "hard"
     paper = ("blinn1988", "schwaerzler2009", "heckbert1997")
+    products = (Product.G_BUFFER,)
     needs = Needs(planar_receiver=True)
     stability_limits: ClassVar[dict[str, str]] = {
         "light_place": "a light in the receiver's plane flattens nothing onto it: the projection has rank 1",

@@ -29,13 +29,14 @@ from wkernels.light_maps.receivers import receiver_of_pixel
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.sampling.estimators import standard_error
 from wkernels.scene.geometry import RECEIVES
-from wkernels.workspace.left_out import Omission
+from wkernels.workspace.left_out import Because, Omission
+from wkernels.workspace.products import Product
 
 
 class Skip(Omission):
     """What a light without an area saves."""
 
-    MAPS = "light depth maps", "the light has no area"
+    MAPS = "light depth maps", Because.NO_AREA
 
 
 @wp.kernel
@@ -97,6 +98,7 @@ class MultiShadowMap(Technique):
     name = "multi_shadow_map"
     family = "light_sampling"
     paper = ("heckbert1997", "scherzer2009tc")
+    products = (Product.G_BUFFER, Product.LIGHT_MAP, Product.LIGHT_SAMPLES)
     stability_limits: ClassVar[dict[str, str]] = {
         "light_place": "no texel falls on a receiver in whose plane the light lies"
     }

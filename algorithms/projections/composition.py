@@ -22,6 +22,22 @@ from wkernels.projections.side_pieces import side_pieces
 from wkernels.projections.splits import pseudo_planes, shares_of_split, split_borders
 from wkernels.scene.geometry import Bounds
 from wkernels.scene.views import HostView, LayerChoice, ProjectiveView
+from wkernels.workspace.left_out import Omission
+
+
+class Fallback(Omission):
+    """What a composition does not do, whether skips are on or not: there is no other way to go."""
+
+    NOTHING_SEEN = "focused light views", "the eye sees nothing that receives: the whole scene's are used"
+    TOO_WIDE = (
+        "focused light views",
+        "the light is amid what is seen, or sees it too wide for one view: the whole scene's are used",
+    )
+    EMPTY_SPLIT = "light view of a split", "nothing of what the eye sees lies in it"
+    NO_DEPTH = "splits of the view's depth", "what is seen has no depth to split"
+    DUELLING = "warp", "light and view direction are less than a degree apart: nothing is better than none"
+    NO_PERSPECTIVE = "warp", "an orthographic view has no perspective aliasing that a warp would even out"
+    PARALLEL_FACES = "a map for each side face", "an orthographic view's faces are parallel: one map is used"
 
 
 def compose(settings: Mapping[str, Any] | None = None) -> LightViews:
@@ -115,14 +131,14 @@ class Composition:
 
     Attributes:
         near: Which near plane the eye's view has that this is called with; ``wkernels.frame.near_plane``.
-        left_out: Pairs (what, reason) of what the last call could not do, or did not need to.
+        left_out: What the last call could not do, or did not need to.
     """
 
     def __init__(self, fit: Fit, warp: Warp, stabiliser: Stabiliser | None, settings: Projection) -> None:
         self.fit, self.warp, self.stabiliser, self.settings = fit, warp, stabiliser, settings
         self.map_options = MapOptions(settings.storage, settings.drawing)
         self.near = settings.near
-        self.left_out: list[tuple[str, str]] = []
+        self.left_out: list[Fallback] = []
 
     def __call__(
         self, light_ws: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int, eye: HostView
@@ -139,31 +155,25 @@ class Composition:
         self.left_out = []
         whole = self.fit.body(receivers, eye)
         if whole.is_empty:
-            self._note("focused light views", "the eye sees nothing that receives: the whole scene's are used")
+            self.left_out.append(Fallback.NOTHING_SEEN)
             return scene_views(light_ws, receivers, casters, resolution)
         scene = Bounds()
         scene.add(np.concatenate([receivers.corners, casters.corners]))
         faces = self.settings.partition == "faces" and eye.perspective
         if self.settings.partition == "faces" and not faces:
-            self._note("a map for each side face", "an orthographic view's faces are parallel: one map is used")
+            self.left_out.append(Fallback.PARALLEL_FACES)
         pieces = side_pieces(whole, eye) if faces else [(whole, eye)]
         views: list[HostView] = []
         for body, ahead in pieces:
             space = light_space(light_ws, body.vertices, scene, ahead, turned=self.stabiliser is None)
             if space is None:  # no plane map holds the body
-                self._note(
-                    "focused light views",
-                    "the light is amid what is seen, or sees it too wide for one view: the whole scene's are used",
-                )
+                self.left_out.append(Fallback.TOO_WIDE)
                 return scene_views(light_ws, receivers, casters, resolution)
             clamp = self._clamp(space, whole, scene)
             views += [
                 replace(view, clamped_before=clamp) for view in self._parts(space, body, ahead, resolution, not faces)
             ]
         return views or scene_views(light_ws, receivers, casters, resolution)
-
-    def _note(self, what: str, reason: str) -> None:
-        self.left_out.append((what, reason))
 
     def _parts(
         self, space: LightSpace, whole: ConvexBody, eye: HostView, resolution: int, by_depth: bool
@@ -180,7 +190,7 @@ class Composition:
                 ahead = np.array(row)
                 body = clip_polyhedron(whole, np.stack([ahead - (0, 0, 0, begin), (0, 0, 0, end) - ahead]))
             if body.is_empty:
-                self._note("light view of a split", "nothing of what the eye sees lies in it")
+                self.left_out.append(Fallback.EMPTY_SPLIT)
                 continue
             last = i == len(borders) - 2
             choice = LayerChoice(self.settings.selection, row, np.inf if last else float(end)) if by_depth else None
@@ -207,7 +217,7 @@ class Composition:
         settings = self.settings
         if far <= near * (1.0 + 1e-9):  # flat across the view: nothing to split
             if settings.splits > 1:
-                self._note("splits of the view's depth", "what is seen has no depth to split")
+                self.left_out.append(Fallback.NO_DEPTH)
             return np.array([near, far])
         shares = settings.pseudo_near, settings.pseudo_far
         return split_borders(near, far, settings.splits, settings.scheme, settings.lambda_, *shares)
@@ -231,9 +241,9 @@ class Composition:
         shape = warp_shape(space, body, eye, **given)
         distance = self.warp.bounded_distance(shape) if eye.perspective else np.inf
         if not eye.perspective and self.settings.warp != "none":
-            self._note("warp", "an orthographic view has no perspective aliasing that a warp would even out")
+            self.left_out.append(Fallback.NO_PERSPECTIVE)
         elif shape.gamma < LEAST_ANGLE and self.settings.warp != "none":
-            self._note("warp", "light and view direction are less than a degree apart: nothing is better than none")
+            self.left_out.append(Fallback.DUELLING)
         depth = (body - eye.eye_ws) @ eye.forward_ws
         # the point with the nearest corner's depth on the view vector moves as the eye does; the corner itself jumps
         centre = eye.eye_ws + float(depth.min()) * eye.forward_ws

@@ -13,6 +13,7 @@ import warp as wp
 
 from algorithms.technique import Frame, Technique
 from wkernels.rays.single_rays import trace_point
+from wkernels.workspace.products import Product
 
 
 class RayCastPointShadow(Technique):
@@ -21,6 +22,7 @@ class RayCastPointShadow(Technique):
     name = "ray_cast_point_shadow"
     family = "reference"
     paper = ("schwaerzler2009",)
+    products = (Product.G_BUFFER, Product.RAY_STRUCTURE)
     hard = True
     bias_sign = "none"
 

@@ -25,14 +25,15 @@ from algorithms.technique import Params as BaseParams
 from wkernels.device.lanes import uses_lanes
 from wkernels.rays.shaft_rays import trace_shafts
 from wkernels.rays.single_rays import PROVEN_DARK, PROVEN_LIT, binomial_standard_error, trace_light
-from wkernels.workspace.left_out import Omission
+from wkernels.workspace.left_out import Because, Omission
+from wkernels.workspace.products import Product
 
 
 class Skip(Omission):
     """What needs no ray, or no more than one."""
 
     PROVEN = "rays to the light", "a proof settles the pixel"
-    RAYS_ALIKE = "rays to the light from each pixel", "the light has no area"
+    RAYS_ALIKE = "rays to the light from each pixel", Because.NO_AREA
 
 
 class ReferenceMultisample(Technique):
@@ -41,6 +42,7 @@ class ReferenceMultisample(Technique):
     name = "reference_multisample"
     family = "reference"
     paper = ("heckbert1997", "schwaerzler2009", "scherzer2009tc")
+    products = (Product.G_BUFFER, Product.LIGHT_SAMPLES, Product.CASTER_TREE)
     bias_sign = "none"
     may_leave_out = (Skip.PROVEN, Skip.RAYS_ALIKE)
     limits = (Limit(equals="ray_cast_point_shadow", params={"samples": 4}, light_scale=0.0),)

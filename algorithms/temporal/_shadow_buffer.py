@@ -26,6 +26,7 @@ from wkernels.temporal.shadow_buffer.rules import (
 from wkernels.temporal.shadow_buffer.start import Start
 from wkernels.temporal.shadow_buffer.step import ShadowStep, StepSkip, add_samples, begin_step, is_settled, keep_views
 from wkernels.workspace.left_out import Omission
+from wkernels.workspace.products import Product
 
 MOVERS = {"disocclude": DISOCCLUDE, "at_once": AT_ONCE, "gradual": GRADUAL, "ignore": DISOCCLUDE}
 """Treatment of moving casters' shadows by name; to ``ignore`` them no map is tagged."""
@@ -47,6 +48,12 @@ class ShadowBufferTechnique(Technique):
         "light_place": "no texel falls on a receiver in whose plane the light lies"
     }
     bias_sign = "none"
+    products = (Product.G_BUFFER, Product.LIGHT_MAP, Product.LIGHT_SAMPLES, Product.HISTORY)
+
+    def leaves_out(self) -> tuple[Omission, ...]:
+        p = self.params
+        never = {MoverMap.NO_MOVERS: p.mover_map == "none", StepSkip.SETTLED: p.stop_error == 0.0}
+        return tuple(omission for omission in self.may_leave_out if not never.get(omission, False))
 
     def begin(self, frame: Frame) -> ShadowStep:
         """The frame's buffers, lights and maps."""
@@ -105,8 +112,17 @@ class ShadowBufferTechnique(Technique):
         """Adds the shadows of movers to what is shown, where they have a map of their own."""
         p = self.params
         if step.apart:
-            way = {"resolution": p.resolution, "cull": p.cull, "bias": p.device_bias, "taps": p.mover_taps}
-            add_mover_shadows(frame, step.gbuffer, step.visibility, step.error, overlap=p.mover_overlap, **way)
+            add_mover_shadows(
+                frame,
+                step.gbuffer,
+                step.visibility,
+                step.error,
+                resolution=p.resolution,
+                cull=p.cull,
+                bias=p.device_bias,
+                taps=p.mover_taps,
+                overlap=p.mover_overlap,
+            )
 
     def recall(self, frame: Frame, step: ShadowStep, epsilon: float, relative: float) -> Recall:
         """Where history is looked for; arguments as for ``add_samples``."""

@@ -56,14 +56,15 @@ from wkernels.temporal.map_pool.kept_maps import KeptMaps, Schedule
 from wkernels.temporal.map_pool.mover_maps import MoverMaps, mover_reach
 from wkernels.temporal.map_pool.update import PoolSteps
 from wkernels.temporal.map_pool.update_lanes import ADD_MOVERS, UPDATE_SUMS
-from wkernels.workspace.left_out import Omission
+from wkernels.workspace.left_out import Because, Omission
+from wkernels.workspace.products import Product
 
 
 class Skip(Omission):
     """What rest saves."""
 
     STANDS_STILL = "light depth maps and tests", "the view has stood still for all samples"
-    NO_MOVERS = "maps of moving casters", "no caster moves"
+    NO_MOVERS = "maps of moving casters", Because.NO_CASTER_MOVES
 
 
 NO_LIMIT = 2.0**22  # a quarter of where whole numbers in float32 stop being exact
@@ -75,6 +76,7 @@ class TcAdaptive(Technique):
     name = "tc_adaptive"
     family = "temporal"
     paper = ("scherzer2009tc",)
+    products = (Product.G_BUFFER, Product.LIGHT_SAMPLES, Product.KEPT_MAPS, Product.HISTORY)
     needs = Needs(area=True, history=True, still_light=True)
     stability_limits: ClassVar[dict[str, str]] = {
         "light_place": "no texel falls on a receiver in whose plane the light lies"
@@ -151,7 +153,7 @@ class TcAdaptive(Technique):
         shape = visibility.shape
         error = frame.standard_error = frame.buffer("standard error", shape, wp.float32)
         kept: KeptMaps = frame.product(
-            "maps", "kept maps", (), lambda old: old or KeptMaps(frame, p.samples, p.resolution)
+            Product.KEPT_MAPS, "kept maps", (), lambda old: old or KeptMaps(frame, p.samples, p.resolution)
         )
         history = frame.history("carried", lambda: wp.zeros(shape, dtype=wp.vec4, device=frame.device))
 

@@ -45,13 +45,14 @@ from wkernels.temporal.confidence.blending import Blending
 from wkernels.temporal.confidence.history import ConfidentSettings
 from wkernels.temporal.confidence.history_lanes import ADD_CONFIDENT_TEST
 from wkernels.temporal.shadow_buffer.record import BILINEAR, NEAREST
-from wkernels.workspace.left_out import Omission
+from wkernels.workspace.left_out import Because, Omission
+from wkernels.workspace.products import Product
 
 
 class Skip(Omission):
     """What a scene without movers saves."""
 
-    UNTAGGED = "tags of moving casters", "no caster moves"
+    UNTAGGED = "tags of moving casters", Because.NO_CASTER_MOVES
 
 
 class TcHard(Technique):
@@ -60,6 +61,7 @@ class TcHard(Technique):
     name = "tc_hard"
     family = "temporal"
     paper = ("scherzer2007", "schwaerzler2009", "stingl2011")
+    products = (Product.G_BUFFER, Product.LIGHT_MAP, Product.HISTORY)
     needs = Needs(history=True)
     hard = True
     bias_sign = "none"

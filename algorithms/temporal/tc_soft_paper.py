@@ -36,17 +36,16 @@ Deviations, where the paper is silent or wrong:
 - Under a mover's shadow the sums of a frame are shown, not stored, nor is a start whose blocker search met a mover: the
   next frame starts anew, so that nothing trails. ``movers`` has the ways of Schwaerzler 2009 besides, and none at all.
 - ``mover_map: centre`` is their proposal for moving objects (section 5): a second map that holds nothing else
-  (``temporal.mover_shadow``). Movers' shadows then have the faults of percentage-closer soft shadows.
+  (``shadow_buffer.mover_shadow``). Movers' shadows then have the faults of percentage-closer soft shadows.
 - ``lights`` is their proposal for several lights in one buffer, which sums all alike; here they are weighted by
-  radiance (``temporal.many_lights``). The brightest light's start searches for blockers, the others' are their first
-  tests. A mover that only another light sees enters one frame late.
-- A light that moves is future work there, by age factors. ``ageing`` has them (``temporal.estimators.age_sums``); n is
-  then the effective number of tests. By default the window follows the displacement; under a light that stands nothing
-  ages.
+  radiance (``shadow_buffer.many_lights``). The brightest light's start searches for blockers, the others' are their
+  first tests. A mover that only another light sees enters one frame late.
+- A light that moves is future work there, by age factors. ``ageing`` has them (``estimators.age_sums``); n is then the
+  effective number of tests. By default the window follows the displacement; under a light that stands nothing ages.
 
 Known artefacts: noise and flicker while n is small and where moving and static penumbrae overlap; SE = 0 is false
-certainty where all tests agree so far; the filter blurs penumbrae that are still above t;
-shadows lag a little under a light that moves; history blurs a little with every frame in which the eye moves, and lags
+certainty where all tests agree so far; the filter blurs penumbrae that are still above t; shadows lag a little under a
+light that moves; history blurs a little with every frame in which the eye moves, and lags
 on surfaces that move by less than epsilon a frame, as points are followed by the camera's motion alone unless
 ``mover_surfaces`` is ``own_motion``.
 """
@@ -67,13 +66,13 @@ from wkernels.filters.penumbra import check_tap_count, pull_taps
 from wkernels.temporal.shadow_buffer.rules import BlockerMean, Smoothing
 from wkernels.temporal.shadow_buffer.start import START_PCSS, START_SAMPLE, Start, start_by
 from wkernels.temporal.shadow_buffer.step import ShadowStep, count_unsmoothed
-from wkernels.workspace.left_out import Omission
+from wkernels.workspace.left_out import Because, Omission
 
 
 class Skip(Omission):
     """What a light without an area saves."""
 
-    TAPS_ALIKE = "taps of starts", "the light has no area"
+    TAPS_ALIKE = "taps of starts", Because.NO_AREA
 
 
 class TcSoftPaper(ShadowBufferTechnique):

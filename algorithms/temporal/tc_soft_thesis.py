@@ -58,13 +58,13 @@ from wkernels.temporal.neighbourhood_blend import BLEND, BlendSettings
 from wkernels.temporal.shadow_buffer.rules import BlockerMean, Smoothing
 from wkernels.temporal.shadow_buffer.start import START_SAMPLE, START_SEARCH, Start, start_by
 from wkernels.temporal.shadow_buffer.step import ShadowStep, count_unsmoothed
-from wkernels.workspace.left_out import Omission
+from wkernels.workspace.left_out import Because, Omission
 
 
 class Skip(Omission):
     """What a light without an area saves."""
 
-    POINTLESS = "blocker searches and neighbourhoods", "the light has no area"
+    POINTLESS = "blocker searches and neighbourhoods", Because.NO_AREA
 
 
 class TcSoftThesis(ShadowBufferTechnique):

@@ -68,6 +68,7 @@ def describe(technique: type[Technique]) -> dict[str, Any]:
             "history": needs.history,
             "still_light": needs.still_light,
         },
+        "products": [product.value for product in technique.products],
         "bias_sign": technique.bias_sign,
         "limits": [limit.equals for limit in technique.limits],
         "params": _parameters(technique),

@@ -267,3 +267,15 @@ def test_nothing_casts_and_all_is_lit(name: str, params: dict[str, Any], skips: 
     seen = result.visibility[~np.isnan(result.visibility)]
     assert len(seen) > 500 and (seen == 1.0).all()
     assert any("light depth map" in what for what, _, _ in result.left_out) == skips
+
+
+def test_vsm_is_lighter_where_casters_overlap() -> None:
+    low = small.mesh("low", small.plane(3.0, y=1.0), receives=False)
+    high = small.mesh("high", small.plane(3.0, y=6.0, centre=(1.4, 0.0)), receives=False)
+    scene = small.scene([small.mesh("ground", small.plane(12.0)), low, high], small.light("rectangle"))
+    truth = render(scene, "reference_multisample", samples=64).visibility
+    leaking = render(scene, "vsm", width="pcss").visibility - truth
+    cut = render(scene, "vsm", width="pcss", bleeding=0.4).visibility - truth
+    umbra = truth == 0.0
+    assert np.mean(leaking[umbra]) > 0.005 and np.nanmean(leaking) > 0.0
+    assert np.mean(cut[umbra]) < 0.2 * np.mean(leaking[umbra])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import small_scenes as small
 import warp as wp
-from filtering_sessions import AREA_KINDS, INSIDE, session
+from filtering_sessions import AREA_KINDS, INSIDE, render, session
 from pydantic import ValidationError
 
 from algorithms.plugins import find
@@ -353,3 +353,15 @@ def test_the_footprint_is_the_light_laid_over_the_map(lamp: str, device: str) ->
     assert same_face.sum() > 40
     expected = moved.numpy()[same_face]
     np.testing.assert_allclose(out.numpy()[same_face], expected, atol=0.01 * np.abs(expected).max())
+
+
+def test_vsm_is_lighter_where_casters_overlap() -> None:
+    low = small.mesh("low", small.plane(3.0, y=1.0), receives=False)
+    high = small.mesh("high", small.plane(3.0, y=6.0, centre=(1.4, 0.0)), receives=False)
+    scene = small.scene([small.mesh("ground", small.plane(12.0)), low, high], small.light("rectangle"))
+    truth = render(scene, "reference_multisample", samples=64).visibility
+    leaking = render(scene, "vsm", width="pcss").visibility - truth
+    cut = render(scene, "vsm", width="pcss", bleeding=0.4).visibility - truth
+    umbra = truth == 0.0
+    assert np.mean(leaking[umbra]) > 0.005 and np.nanmean(leaking) > 0.0
+    assert np.mean(cut[umbra]) < 0.2 * np.mean(leaking[umbra])

@@ -10,7 +10,7 @@ import pytest
 import small_scenes as small
 import warp as wp
 from compare import assert_twin
-from test_shadow_buffer import EYE, HEIGHT, WIDTH, ground_depth, ray
+from seen_ground import EYE, HEIGHT, WIDTH, ground_depth, ray
 
 from algorithms.plugins import find
 from wkernels.device.launch import launch

@@ -10,8 +10,8 @@ import pytest
 import small_scenes as small
 import warp as wp
 from compare import assert_twin, rmse
+from seen_ground import EYE, HEIGHT, WIDTH, fetch_twin, ground_depth, ray
 from sessions import open_session, render_frames, small_technique, technique, true_visibility, walk
-from test_shadow_buffer import EYE, HEIGHT, WIDTH, fetch_twin, ground_depth, ray
 
 from wkernels.device.launch import launch
 from wkernels.scene.model import Camera

@@ -9,7 +9,6 @@ import pytest
 import small_scenes as small
 from filtering_sessions import session, technique
 
-from algorithms.projections.composition import compose
 from wkernels.light_maps.layer_density import layer_densities
 from wkernels.scene.lights import DirectionalLight, Light, PointLight
 from wkernels.scene.model import Camera, Scene
@@ -36,7 +35,7 @@ EXPECTED = 0.5 * WIDE * 6.0 * float(np.trapezoid(DISC * (1.0 - DISC), H))
 
 def softness(name: str, projection: dict[str, Any], light: Light = SUN, **params: Any) -> tuple[np.ndarray, ...]:
     """Depths of the picture's rows, the width of the shadow's edge there (of a disc's ramp), and which split is read."""
-    frame = session(long_edge(light), size=(128, 128), projection=compose(projection))
+    frame = session(long_edge(light), size=(128, 128), projection=projection)
     result = frame.render(technique(name, resolution=R, **params))
     eye = frame.eye()
     world = result.world_position.astype(float)
@@ -63,7 +62,7 @@ def by_split(width: np.ndarray, split: np.ndarray) -> list[float]:
 
 
 def texel_sizes(projection: dict[str, Any]) -> np.ndarray:
-    frame = session(long_edge(SUN), size=(64, 64), projection=compose(projection))
+    frame = session(long_edge(SUN), size=(64, 64), projection=projection)
     frame.light_map(R)
     views, sample = frame.shown.views, frame.shown.light_ws  # type: ignore[misc]
     return 1.0 / layer_densities(views, sample, np.zeros(3))[:, 0]
@@ -111,7 +110,7 @@ def test_under_a_point_light_the_receiver_s_kernel_keeps_its_size() -> None:
 def test_densities_are_finite_differences_of_the_views() -> None:
     light = np.array([10.0, 60.0, -20.0, 1.0])
     for sample in (light, np.array([0.0, 1.0, 0.0, 0.0])):
-        frame = session(long_edge(SUN), size=(64, 48), projection=compose({**SPLITS, "warp": "lispsm_nopt"}))
+        frame = session(long_edge(SUN), size=(64, 48), projection={**SPLITS, "warp": "lispsm_nopt"})
         frame.light_map(R, sample)
         views = frame.shown.views  # type: ignore[index]
         found = layer_densities(views, sample, np.zeros(3))

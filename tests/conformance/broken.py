@@ -15,6 +15,7 @@ from rig import CHECKS
 
 from algorithms.technique import ExpectedFailure, Limit, Needs, Params, Technique, setting
 from wkernels.frame.session import Session as Frame
+from wkernels.workspace.products import Product
 
 Spoil = Callable[[np.ndarray, Frame], np.ndarray]
 BROKEN: list[tuple[str, type[Technique]]] = []
@@ -92,6 +93,8 @@ broken("declarations_resolve", "impossible parameters", limits=(Limit(equals="sh
 broken("declarations_resolve", "a limit as wide as a door", limits=(Limit(equals="shadow_map", flips=0.5),))
 broken("declarations_resolve", "fails a check that does not exist", expected_failures=failing("no_such_check", "dark"))
 broken("declarations_resolve", "fails without a reason", expected_failures=failing("image_is_visibility", "dark", " "))
+broken("pulls_what_it_declares", "pulls light samples in silence", products=(Product.G_BUFFER, Product.RAY_STRUCTURE))
+broken("pulls_what_it_declares", "declares a map that it never pulls", products=(*Honest.products, Product.LIGHT_MAP))
 broken("declarations_resolve", "fails with any message", expected_failures=failing("image_is_visibility", ".*"))
 
 

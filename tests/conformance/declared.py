@@ -10,12 +10,15 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
-from rig import CHECKS, check, lamp, render, small_params
+from rig import CHECKS, check, lamp, render, scenes_for, small_params
 from small_scenes import box_on_ground
 
 from algorithms.plugins import ROOT, file_of, load_all
 from algorithms.technique import Technique
 from wkernels.errors import InputError
+from wkernels.frame.session import Session
+from wkernels.scene.geometry import Geometry
+from wkernels.workspace.products import Product
 
 BIBLIOGRAPHY = Path(__file__).parents[2] / "references.bib"
 
@@ -138,3 +141,18 @@ def declarations_resolve(technique: type[Technique], device: str) -> None:
         assert expected.because.strip(), f"expects '{expected.check}' to fail without saying why"
         assert not re.search(expected.message, ""), f"expects '{expected.check}' to fail with any message"
     assert not inspect.isabstract(technique)
+
+
+@check()
+def pulls_what_it_declares(technique: type[Technique], device: str) -> None:
+    pulled: set[Product] = set()
+    for scene in scenes_for(technique):
+        session = Session(Geometry(scene, device), width=16, height=12, device=device)
+        made = technique(small_params(technique))
+        for frame in range(2):
+            session.begin(frame)
+            session.render(made)
+            session.advance()
+            pulled |= session.pulled
+    unlike = sorted(product.value for product in pulled ^ set(technique.products))
+    assert not unlike, f"pulled and not declared, or declared and never pulled: {', '.join(unlike)}"

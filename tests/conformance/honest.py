@@ -11,6 +11,7 @@ import warp as wp
 from algorithms.technique import Limit, Params, Technique, setting
 from wkernels.frame.session import Session as Frame
 from wkernels.rays.single_rays import binomial_standard_error, trace_light
+from wkernels.workspace.products import Product
 
 
 class Honest(Technique):
@@ -19,6 +20,7 @@ class Honest(Technique):
     name = "honest"
     family = "reference"
     paper = ("heckbert1997",)
+    products = (Product.G_BUFFER, Product.LIGHT_SAMPLES, Product.RAY_STRUCTURE)
     bias_sign = "none"
     limits = (Limit(equals="ray_cast_point_shadow", light_scale=0.0),)
 

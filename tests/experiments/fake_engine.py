@@ -34,8 +34,13 @@ class Flat:
         fails_on: int = -1
         own_error: bool = False
 
+    products = ()
+
     def __init__(self, params: Params) -> None:
         self.params = params
+
+    def leaves_out(self) -> tuple[()]:
+        return ()
 
 
 class Remembering(Flat):

@@ -203,6 +203,7 @@ def test_list_as_json_and_as_lines(wkernels: Run) -> None:
     assert status == 0
     entry = next(entry for entry in json.loads(out) if entry["name"] == "shadow_map")
     assert entry["family"] == "hard" and "williams1978" in entry["paper"]
+    assert entry["products"] == ["g-buffer", "light depth map"]
     assert entry["params"]["resolution"]["default"] == 1024
     assert entry["params"]["resolution"]["unit"] == "texels"
     assert entry["params"]["resolution"]["maximum"] == 8192

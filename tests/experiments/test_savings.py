@@ -27,7 +27,7 @@ from wkernels.errors import InputError
 from wkernels.frame.session import Session
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.model import Scene
-from wkernels.workspace.products import UNASKED, UNCHANGED
+from wkernels.workspace.products import UNCHANGED, Unasked
 
 SCENES = Path(__file__).parents[2] / "configs" / "scenes"
 PLUGINS = load_all()
@@ -67,7 +67,7 @@ def test_every_skip_has_a_row_and_changes_no_image(table: Path) -> None:
     assert {(s, label, EVERYTHING) for s in ("moving_blocker", "bare") for label in labels} <= found
     assert ("moving_blocker", "pcf_blocker_skip", "filter of pixels") in found
     assert ("bare", "multi_shadow_map", "light depth map and comparisons") in found
-    assert not any(row["reason"] == UNASKED for row in rows), "what a method never does saves nothing"
+    assert not any(row["reason"] == Unasked.LIGHT_MAP.pair[1] for row in rows), "what a method never does saves nothing"
     for row in rows:
         assert float(row["ms_with"]) > 0.0 and float(row["ms_without"]) > 0.0 and int(row["count"]) > 0
         if row["frames"] == "1":  # medians of one number
@@ -258,6 +258,8 @@ def test_what_techniques_leave_out_they_declare(name: str) -> None:
             session.begin(index)
             told |= {(what, why) for what, why, _ in session.render(made).left_out}
             session.advance()
-        by_frames = {pair for pair in told if pair[1] in (UNASKED, UNCHANGED) or "light depth map" in pair[0]}
+        by_frames = {
+            pair for pair in told if pair[1] in (Unasked.LIGHT_MAP.pair[1], UNCHANGED) or "light depth map" in pair[0]
+        }
         foreseen = set(own_omissions(scene, 0, technique, made.params.model_dump()))
         assert told - by_frames <= foreseen, "every session may, or the technique declares it"

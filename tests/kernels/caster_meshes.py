@@ -5,6 +5,11 @@ from __future__ import annotations
 import numpy as np
 import small_scenes
 import trimesh
+import warp as wp
+
+from wkernels.casters.edges import Adjacency, find_edges
+from wkernels.casters.silhouettes import Silhouettes, counted_turns, facing_of, find_silhouettes
+from wkernels.workspace.workspace import Workspace
 
 Mesh = tuple[np.ndarray, np.ndarray]
 
@@ -74,3 +79,17 @@ def touching() -> Mesh:
 
 def all_meshes() -> dict[str, Mesh]:
     return whole() | broken()
+
+
+def facing(vertices: np.ndarray, faces: np.ndarray, light: tuple[float, ...], device: str = "cpu") -> np.ndarray:
+    points = wp.array(vertices.astype(np.float32), dtype=wp.vec3, device=device)
+    indices = wp.array(faces.astype(np.int32).ravel(), dtype=int, device=device)
+    return facing_of(Workspace(device, 2), points, indices, np.array(light))
+
+
+def silhouettes(
+    vertices: np.ndarray, faces: np.ndarray, light: tuple[float, ...], closed: str = "lit"
+) -> tuple[Adjacency, Silhouettes]:
+    adjacency = find_edges(vertices.astype(np.float32), faces)
+    turns = counted_turns(adjacency, facing(vertices, faces, light), closed)  # type: ignore[arg-type]
+    return adjacency, find_silhouettes(adjacency, turns)

@@ -6,7 +6,9 @@ import numpy as np
 import small_scenes
 import warp as wp
 
+from wkernels.projections.light_views import scene_views
 from wkernels.raster import CULL_NONE, Rasteriser
+from wkernels.scene.geometry import Bounds
 from wkernels.scene.views import HostView, View
 
 SUB = 256  # positions within a pixel that vertices snap to
@@ -153,3 +155,51 @@ def assert_depth_equals_rays(
     hit = sure & (want_owner >= 0)
     slack = 1e-5 * want_depth[hit]
     assert (depth[hit] >= lowest[hit] - slack).all() and (depth[hit] <= highest[hit] + slack).all()
+
+
+# ---- inputs -----------------------------------------------------------------------------------------------------------
+
+
+FORWARD, RIGHT, UP = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+
+
+def view_of(perspective: bool, width: int, height: int, near: float = 0.5, far: float = 60.0) -> HostView:
+    half = 1.0 if perspective else 12.0
+    tall = half * height / width
+    return HostView(np.zeros(3), RIGHT, UP, FORWARD, (-half, half, -tall, tall), near, far, width, height, perspective)
+
+
+def triangle_soup(rng: np.random.Generator, count: int, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles of about ``size`` all around the eye, many across the near plane or far outside of the view."""
+    middle = rng.uniform((-20, -20, -70), (20, 20, 5), (count, 1, 3))
+    return (middle + rng.normal(0.0, size, (count, 3, 3))).reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)
+
+
+def on_device(points: np.ndarray, faces: np.ndarray, device: str) -> tuple[wp.array, wp.array]:
+    return (
+        wp.array(points.astype(np.float32), dtype=wp.vec3, device=device),
+        wp.array(faces.astype(np.int32).ravel(), dtype=int, device=device),
+    )
+
+
+def scene_box() -> Bounds:
+    out = Bounds()
+    out.add(np.array([(-4.0, -4.0, -4.0), (4.0, 4.0, 4.0)]))
+    return out
+
+
+def cube_faces(resolution: int) -> list[HostView]:
+    """Six faces from a point inside of the scene."""
+    box = scene_box()
+    views = scene_views(np.array([0.3, 0.2, 0.1, 1.0]), box, box, resolution)
+    assert len(views) == 6
+    return views
+
+
+def sun_samples(count: int, resolution: int) -> list[HostView]:
+    """One orthographic view per sample of a wide sun."""
+    rng = np.random.default_rng(count)
+    box = scene_box()
+    towards = np.array([0.2, 1.0, 0.3]) + rng.uniform(-0.2, 0.2, (count, 3))
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    return [scene_views(np.append(way, 0.0), box, box, resolution)[0] for way in towards]

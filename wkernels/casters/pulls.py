@@ -18,12 +18,13 @@ from wkernels.casters.silhouettes import (
     find_silhouettes,
 )
 from wkernels.scene.geometry import Geometry
+from wkernels.workspace.products import Product
 from wkernels.workspace.workspace import Workspace
 
 
 def pull_edges(work: Workspace, geometry: Geometry) -> Adjacency:
     """``caster_edges``, built once."""
-    out: Adjacency = work.product("caster edges", "caster edges", geometry, lambda old: caster_edges(geometry))
+    out: Adjacency = work.product(Product.CASTER_EDGES, "caster edges", geometry, lambda old: caster_edges(geometry))
     return out
 
 
@@ -50,7 +51,7 @@ def pull_silhouettes(
         return find_silhouettes(adjacency, counted_turns(adjacency, facing, closed))
 
     inputs = (adjacency, geometry.version, np.asarray(light_ws, np.float64).tobytes())
-    out: Silhouettes = work.product("silhouettes", ("silhouettes", slot, closed), inputs, build)
+    out: Silhouettes = work.product(Product.SILHOUETTES, ("silhouettes", slot, closed), inputs, build)
     return out
 
 
@@ -68,5 +69,5 @@ def pull_volumes(
     def build(old: Volumes | None) -> Volumes:
         return sweep_volumes(work, geometry.points_ws, pull_edges(work, geometry), silhouettes, light_ws)
 
-    out: Volumes = work.product("volumes", ("volumes", slot), silhouettes, build)
+    out: Volumes = work.product(Product.VOLUMES, ("volumes", slot), silhouettes, build)
     return out

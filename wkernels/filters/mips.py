@@ -120,7 +120,7 @@ def find_mips(work: Workspace, image: MapImage, old: Mips | None = None) -> Mips
     levels = lay_out_levels(image.layout, work.device)
     size = max(levels.texels, 1)
     fits = old is not None and old.texels.size == size and old.texels.dtype is image.texels.dtype
-    texels = old.texels if old is not None and fits else wp.empty(size, dtype=image.texels.dtype, device=work.device)
+    texels = old.texels if old is not None and fits else wp.zeros(size, dtype=image.texels.dtype, device=work.device)
     for level, side in enumerate(sides_of(levels)[1:], 1):
         inputs = [image.texels if level == 1 else texels, levels, level]
         work.launch(HALVE, (side, levels.layers, side), inputs, [texels])

@@ -1,4 +1,4 @@
-"""The filters of ``filtering.py`` for a run of pixels at a time; see ``receiver_lanes.py`` for how that is written.
+"""The filters of ``penumbra.py`` for a run of pixels at a time; see ``receiver_lanes.py`` for how that is written.
 
 Every function does what the one of the same name there does, in the same order of operations.
 """

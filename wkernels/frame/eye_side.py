@@ -7,21 +7,21 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wkernels.frame.result import G_BUFFER
 from wkernels.raster import Rasteriser
 from wkernels.raster import gbuffer as gb
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.model import Camera
 from wkernels.scene.views import HostView, eye_view
-from wkernels.workspace.left_out import Omission
+from wkernels.workspace.left_out import Because, Omission
+from wkernels.workspace.products import Product
 from wkernels.workspace.workspace import Workspace
 
 
 class NothingCasts(Omission):
     """What a scene without casters saves."""
 
-    MAP = "light depth map and comparisons", "nothing casts"
-    ALL = "all but G-buffer and shading", "nothing casts"
+    MAP = "light depth map and comparisons", Because.NOTHING_CASTS
+    ALL = "all but G-buffer and shading", Because.NOTHING_CASTS
 
 
 class EyeSide(Workspace):
@@ -59,6 +59,11 @@ class EyeSide(Workspace):
         self._gbuffers.clear()
         self._receivers.clear()
         self.standard_error = None
+
+    @property
+    def pulled(self) -> frozenset[Product]:
+        """What of all that a frame offers this frame's technique has asked for so far."""
+        return frozenset(product for product in Product if product.value in self._products.asked)
 
     def receivers_of(self, visibility: object) -> gb.GBuffer:
         """The G-buffer that a ``visibility_buffer`` was given for; the frame's own for anything else."""
@@ -113,7 +118,7 @@ class EyeSide(Workspace):
             return out
 
         inputs = (self.geometry.version, self._camera.key)
-        out: gb.GBuffer = self.product(G_BUFFER, ("g-buffer", margin), inputs, build)
+        out: gb.GBuffer = self.product(Product.G_BUFFER, ("g-buffer", margin), inputs, build)
         self._gbuffers[margin] = out
         return out
 

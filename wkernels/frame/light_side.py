@@ -30,13 +30,14 @@ from wkernels.scene.geometry import Bounds, Geometry
 from wkernels.scene.light_motion import FrameLights
 from wkernels.scene.lights import Light
 from wkernels.scene.views import HostView
+from wkernels.workspace.products import Product
 
 LightViews = Callable[[np.ndarray, Bounds, Bounds, int, HostView], list[HostView]]
 """A projection: light sample (4,), receivers' box, casters' box, map resolution, eye view -> one view per layer.
 
 It may have three attributes: ``near``, the ``NearPlane`` rule of the eye view that it gets ("user" without it);
-``left_out``, pairs (what, reason) of what its last call could not or need not do; and ``map_options``, a ``MapOptions``
-that says how its maps are stored and drawn.
+``left_out``, members of an ``Omission``: what its last call could not or need not do; and ``map_options``, a
+``MapOptions`` that says how its maps are stored and drawn.
 """
 
 
@@ -97,7 +98,7 @@ class LightSide(EyeSide):
 
         # the set of a temporal method moves on every frame: one slot per size, so that nothing piles up
         inputs = (start, self.seed, source)
-        samples: LightSamples = self.product("light samples", ("samples", kind, count), inputs, build)
+        samples: LightSamples = self.product(Product.LIGHT_SAMPLES, ("samples", kind, count), inputs, build)
         return samples
 
     def caster_mesh(self) -> wp.uint64:
@@ -111,7 +112,7 @@ class LightSide(EyeSide):
             old.refit()
             return old
 
-        mesh: wp.Mesh = self.product("caster ray structure", "casters", self.geometry.version, build)
+        mesh: wp.Mesh = self.product(Product.RAY_STRUCTURE, "casters", self.geometry.version, build)
         return mesh.id
 
     def caster_tree(self) -> CasterTree:
@@ -126,7 +127,7 @@ class LightSide(EyeSide):
             old.refit()
             return old
 
-        builder: CasterTreeBuilder = self.product("caster tree", "caster tree", self.geometry.version, build)
+        builder: CasterTreeBuilder = self.product(Product.CASTER_TREE, "caster tree", self.geometry.version, build)
         return builder.tree
 
     @property
@@ -156,8 +157,8 @@ class LightSide(EyeSide):
         """The projection's views from a light sample (4,), rebased world, of these boxes, one per layer of a map."""
         eye = self.near_plane.raised(self.eye(), receivers, self.geometry.version)
         views = self.projection(light_ws, receivers, casters, resolution, eye)
-        for what, reason in getattr(self.projection, "left_out", ()):
-            self.record(what, reason)
+        for omission in getattr(self.projection, "left_out", ()):
+            self.record(omission)
         return views
 
     def light_map(

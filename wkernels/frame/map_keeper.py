@@ -18,6 +18,7 @@ from wkernels.raster import Rasteriser
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.views import HostView
 from wkernels.workspace.left_out import Omission
+from wkernels.workspace.products import Product
 from wkernels.workspace.workspace import Workspace
 
 MOVING = {"all": None, "still": False, "moving": True}
@@ -88,7 +89,7 @@ class MapKeeper:
             return made
 
         inputs = (self._geometry.version, views_stamp(views))
-        out: LightMap = work.product("light depth map", key, inputs, build)
+        out: LightMap = work.product(Product.LIGHT_MAP, key, inputs, build)
         return out, self._empty[key]
 
     def pull_many(
@@ -112,7 +113,7 @@ class MapKeeper:
 
         inputs = (self._geometry.version, tuple(views_stamp(own) for own in views))
         key = ("maps", slot, len(views), views[0][0].width, cull)
-        out: LightMaps = work.product("light depth map", key, inputs, build)
+        out: LightMaps = work.product(Product.LIGHT_MAP, key, inputs, build)
         return out
 
     def pull_layered(
@@ -135,7 +136,7 @@ class MapKeeper:
 
         inputs = (self._geometry.version, views_stamp(views))
         key = ("layered map", slot, peels, views[0].width, cull, faces)
-        out: LayeredMap = work.product("light depth map", key, inputs, build)
+        out: LayeredMap = work.product(Product.LIGHT_MAP, key, inputs, build)
         return out
 
     def _drawing(

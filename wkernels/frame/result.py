@@ -14,8 +14,9 @@ from wkernels.raster.gbuffer import GBuffer
 from wkernels.scene.geometry import CASTS, RECEIVES
 from wkernels.scene.views import HostView
 from wkernels.workspace.left_out import Omission, Reasoned
+from wkernels.workspace.products import Product
 
-G_BUFFER, SHADING = "g-buffer", "shading"
+SHADING = "shading"  # name of the pass
 
 
 class TurnedAway(Omission):
@@ -131,7 +132,7 @@ def read_back(
         world_position=position.astype(np.float32),
         passes=list(spent.items()),
         frame_ms=total,
-        shadow_ms=total - spent.get(G_BUFFER, 0.0) - spent.get(SHADING, 0.0),
+        shadow_ms=total - spent.get(Product.G_BUFFER.value, 0.0) - spent.get(SHADING, 0.0),
         left_out=[(what, reason, count) for (what, reason), count in left_out.items()],
         m_x_max=m_x,
         m_z_max=m_z,

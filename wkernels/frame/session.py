@@ -29,7 +29,7 @@ from wkernels.light_maps.host_map import HostMap
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.views import eye_view
 from wkernels.workspace.left_out import Reasoned
-from wkernels.workspace.products import OPTIONAL, UNASKED
+from wkernels.workspace.products import Product, Unasked
 
 
 class Renders(Protocol):
@@ -108,9 +108,9 @@ class Session(LightSide):
             color = self.buffer("color", visibility.shape, wp.vec3)
             shade(gbuffer, self.geometry.mesh_diffuse, self.light, visibility, color, self.device, self.threads)
         spent = self._timer.stop()
-        for name in OPTIONAL:
-            if name not in self._products.asked:
-                self.tell(name, UNASKED)
+        for omission in Unasked:
+            if omission.product not in self.pulled:
+                self.tell(omission)
         read = self.shown
         if isinstance(read, HostMap):
             self.tell(TurnedAway.PIXELS, count=lambda: count_turned_away(gbuffer, read))
@@ -142,7 +142,7 @@ class Session(LightSide):
 
     def history(self, name: str, allocate: Callable[[], Any], margin: tuple[int, int] = (0, 0)) -> History:
         """Two buffers made by ``allocate``, and the eye's view when the previous one was written."""
-        self._products.asked.add("history")
+        self._products.asked.add(Product.HISTORY.value)
         if name not in self._histories:
             self._histories[name] = History(allocate(), allocate())
         out = self._histories[name]

@@ -19,12 +19,9 @@ from wkernels.irregular.casters import (
     row_of_vertex,
 )
 from wkernels.irregular.grid import TINY, LightFace
+from wkernels.raster.lane_culling import MESH_LANES, Ints, Longs, Points
 
-LANES = wp.constant(128)
-Ints = wp.types.vector(length=LANES, dtype=wp.int32)
-Longs = wp.types.vector(length=LANES, dtype=wp.int64)
-Corners = wp.types.vector(length=3 * LANES, dtype=wp.int32)
-Points = wp.types.vector(length=3 * LANES, dtype=wp.float32)
+Corners = wp.types.vector(length=3 * MESH_LANES, dtype=wp.int32)
 
 
 @wp.kernel
@@ -39,7 +36,7 @@ def place_vertices_lanes(
     """``place_vertices`` for a run of vertices."""
     run = first + wp.tid()
     if run >= runs.shape[0]:
-        for i in range(run * LANES, points_ws.shape[0]):
+        for i in range(run * MESH_LANES, points_ws.shape[0]):
             vertex_out[i] = place_vertex(face, points_ws[i])
         return
     points = runs[run]
@@ -61,7 +58,7 @@ def place_vertices_lanes(
     border_2 = low - margin / per_v
     border_3 = low + over / per_v
     vertices = Longs()
-    for k in range(LANES):
+    for k in range(MESH_LANES):
         wx = wp.float64(points[3 * k]) - origin_x
         wy = wp.float64(points[3 * k + 1]) - origin_y
         wz = wp.float64(points[3 * k + 2]) - origin_z
@@ -97,7 +94,7 @@ def bound_triangles_lanes(
     """``bound_triangles`` for a run of triangles."""
     run = first + wp.tid()
     if run >= runs.shape[0]:
-        for t in range(run * LANES, indices.shape[0] / 3):
+        for t in range(run * MESH_LANES, indices.shape[0] / 3):
             box = bound_triangle(vertex, indices, face, occupied, t)
             rows_out[t] = box[0]
             columns_out[t] = box[1]
@@ -108,7 +105,7 @@ def bound_triangles_lanes(
     pitch = face.resolution + 1
     rows = Ints(0)
     columns = Ints(0)
-    for k in range(LANES):
+    for k in range(MESH_LANES):
         a = vertex[corners[3 * k]]
         b = vertex[corners[3 * k + 1]]
         c = vertex[corners[3 * k + 2]]

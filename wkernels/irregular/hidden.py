@@ -10,23 +10,14 @@ import warp as wp
 
 from wkernels.device.lanes import uses_lanes
 from wkernels.device.launch import launch
-from wkernels.irregular.caster_lanes import LANES as CASTER_LANES
-from wkernels.irregular.caster_lanes import (
-    Corners,
-    Longs,
-    Points,
-    bound_triangles_lanes,
-    place_vertices_lanes,
-)
-from wkernels.irregular.caster_lanes import Ints as CasterInts
+from wkernels.irregular.caster_lanes import Corners, bound_triangles_lanes, place_vertices_lanes
 from wkernels.irregular.casters import bound_triangles, count_bands, list_bands, place_vertices
 from wkernels.irregular.grid import LightFace, fit_grid, light_faces
-from wkernels.irregular.lanes import LANES, PIECE, Ints, Piece, SampleRuns, test_band
+from wkernels.irregular.lanes import PIECE, Piece, SampleRuns, test_band
 from wkernels.irregular.occlusion import test_pixels
-from wkernels.irregular.pixel_lanes import LANES as PIXEL_LANES
+from wkernels.irregular.pixel_lanes import PIXEL_LANES, PixelRuns, PlaceRuns, place_pixels_lanes
 from wkernels.irregular.pixel_lanes import Floats as PixelFloats
 from wkernels.irregular.pixel_lanes import Ints as PixelInts
-from wkernels.irregular.pixel_lanes import PixelRuns, PlaceRuns, place_pixels_lanes
 from wkernels.irregular.pixel_lanes import Vectors as PixelVectors
 from wkernels.irregular.samples import (
     PAD,
@@ -40,6 +31,9 @@ from wkernels.irregular.samples import (
 )
 from wkernels.projections.light_views import scene_views
 from wkernels.raster.gbuffer import GBuffer
+from wkernels.raster.lane_bands import BAND_LANES, Ints
+from wkernels.raster.lane_culling import MESH_LANES, Longs, Points
+from wkernels.raster.lane_culling import Ints as MeshInts
 from wkernels.scene.geometry import Geometry
 from wkernels.workspace.workspace import Workspace
 
@@ -104,7 +98,7 @@ def find_hidden(
             inputs = [faces[k], boxes.rows, boxes.columns, bands.begin]
             corners = geometry.caster_indices
             if uses_lanes(work.device):
-                runs = _view(bands.listed, Ints, len(bands.listed) - int(LANES) + 1, 4)
+                runs = _view(bands.listed, Ints, len(bands.listed) - int(BAND_LANES) + 1, 4)
                 inputs = [_view(geometry.points_ws, float, 3 * len(geometry.points_ws)), corners, *inputs, runs]
                 inputs += [bands.shift, samples.runs]
                 # bands have different loads, so threads take them one by one
@@ -190,13 +184,13 @@ def _bound_casters(work: Workspace, geometry: Geometry, face: LightFace, samples
         work.launch(place_vertices, len(points), [points, face], [vertex])
         work.launch(bound_triangles, count, [vertex, corners, face, occupied], [out.rows, out.columns])
         return out
-    lanes = int(CASTER_LANES)
+    lanes = int(MESH_LANES)
     whole = len(points) // lanes
     inputs = [_view(points, Points, whole), points, face]
     work.launch(place_vertices_lanes, -(-len(points) // lanes), inputs, [_view(vertex, Longs, whole), vertex])
     whole = count // lanes
     inputs = [vertex, _view(corners, Corners, whole), corners, face, occupied, occupied.flatten()]
-    outputs = [_view(array, CasterInts, whole) for array in (out.rows, out.columns)]
+    outputs = [_view(array, MeshInts, whole) for array in (out.rows, out.columns)]
     work.launch(bound_triangles_lanes, -(-count // lanes), inputs, [*outputs, out.rows, out.columns])
     return out
 
@@ -213,7 +207,7 @@ def _list_casters(work: Workspace, boxes: _Boxes, resolution: int) -> _Bands:
     begin = work.buffer("band begin", (bands + 1,), wp.int32)
     begin.assign(starts[::CHUNKS].astype(np.int32))
     # a power of two, so that few sizes are ever held
-    listed = work.buffer("band list", (1 << (int(starts[-1]) + int(LANES)).bit_length(),), wp.int32)
+    listed = work.buffer("band list", (1 << (int(starts[-1]) + int(BAND_LANES)).bit_length(),), wp.int32)
     work.launch(list_bands, CHUNKS, [boxes.rows, count, shift, CHUNKS, counts], [listed])
     return _Bands(begin, listed, shift)
 

@@ -12,16 +12,14 @@ from wkernels.irregular.casters import NO_ROWS
 from wkernels.irregular.grid import ROUNDING, TINY, LightFace
 from wkernels.irregular.occlusion import LARGEST, SMALL_SHARE
 from wkernels.irregular.samples import HIDDEN, PAD
+from wkernels.raster.lane_bands import BAND_LANES, Floats, Ints
 
-LANES = wp.constant(64)  # triangles set up in one step
 PIECE = wp.constant(16)  # samples tested in one step; what is behind a row's end is padding
 FLAT = wp.constant(1.0e-6)  # columns per row, inverse: an edge that runs along its row bounds none of its columns
 NO_BOUND = wp.constant(1.0e12)  # columns; more than a row's bound can move over all rows
 LEEWAY = wp.constant(0.01)  # columns that a row's span is widened by, beside the face's margin
 CANCELLED = wp.constant(1.0e-6)  # relative: what adding up in float32 may cost a span
 
-Ints = wp.types.vector(length=LANES, dtype=wp.int32)
-Floats = wp.types.vector(length=LANES, dtype=wp.float32)
 Piece = wp.types.vector(length=PIECE, dtype=wp.float32)
 
 
@@ -103,9 +101,9 @@ def test_band(
     step_b = Floats(0.0)
     step_c = Floats(0.0)
     list_end = band_begin[band + 1]
-    for i0 in range(band_begin[band], list_end, LANES):
+    for i0 in range(band_begin[band], list_end, BAND_LANES):
         listed = band_list[i0]
-        for k in range(LANES):
+        for k in range(BAND_LANES):
             t = listed[k]
             i = 3 * indices[3 * t]
             x = wp.float64(points_ws[i]) - origin_x
@@ -196,7 +194,7 @@ def test_band(
             begin_v[k] = v0
             box_columns[k] = column
             box_rows[k] = wp.where(usable, row, NO_ROWS)
-        for k in range(LANES):
+        for k in range(BAND_LANES):
             # where each edge crosses the rows, in columns from the box's first: a + step * (row - first row)
             height = float((box_rows[k] >> 16) - (box_rows[k] & 65535) + 1) * row_height
             leans_a = wp.where(wp.abs(a_u[k]) > FLAT * wp.abs(a_v[k]) * row_height * per_u, a_u[k], 0.0)
@@ -226,7 +224,7 @@ def test_band(
             most_a[k] = wp.where(leans_a < 0.0, at_a + wp.max(down_a, 0.0) + slack_a, NO_BOUND)
             most_b[k] = wp.where(leans_b < 0.0, at_b + wp.max(down_b, 0.0) + slack_b, NO_BOUND)
             most_c[k] = wp.where(leans_c < 0.0, at_c + wp.max(down_c, 0.0) + slack_c, NO_BOUND)
-        for k in range(wp.min(LANES, list_end - i0)):
+        for k in range(wp.min(BAND_LANES, list_end - i0)):
             x0 = box_columns[k] & 65535
             x1 = box_columns[k] >> 16
             y0 = box_rows[k] & 65535

@@ -9,11 +9,11 @@ from wkernels.irregular.samples import NO_ROW
 from wkernels.rays.single_rays import ORIGIN_ERROR
 from wkernels.scene.geometry import CASTS, RECEIVES
 
-LANES = wp.constant(64)
-Ints = wp.types.vector(length=LANES, dtype=wp.int32)
-Floats = wp.types.vector(length=LANES, dtype=wp.float32)
-Doubles = wp.types.vector(length=LANES, dtype=wp.float64)
-Vectors = wp.types.vector(length=3 * LANES, dtype=wp.float32)
+PIXEL_LANES = wp.constant(64)  # pixels placed in one step
+Ints = wp.types.vector(length=PIXEL_LANES, dtype=wp.int32)
+Floats = wp.types.vector(length=PIXEL_LANES, dtype=wp.float32)
+Doubles = wp.types.vector(length=PIXEL_LANES, dtype=wp.float64)
+Vectors = wp.types.vector(length=3 * PIXEL_LANES, dtype=wp.float32)
 
 
 @wp.struct
@@ -50,10 +50,10 @@ def place_pixels_lanes(
     """Both for one row; its last run begins so early that it ends with the row."""
     y = first + wp.tid()
     row_begin = y * pixels.width
-    last = pixels.width - LANES
+    last = pixels.width - PIXEL_LANES
     light_x, light_y, light_z, light_w = light_ws[0], light_ws[1], light_ws[2], light_ws[3]
     one = wp.float64(1.0)
-    for x0 in range(0, pixels.width, LANES):
+    for x0 in range(0, pixels.width, PIXEL_LANES):
         at = row_begin + wp.min(x0, last)
         flags = pixels.flags[at]
         depth = pixels.depth[at]
@@ -64,7 +64,7 @@ def place_pixels_lanes(
         origin_z = Doubles()
         wanted = Ints(0)
         visible = Floats(0.0)
-        for k in range(LANES):
+        for k in range(PIXEL_LANES):
             px = position[3 * k]
             py = position[3 * k + 1]
             pz = position[3 * k + 2]
@@ -94,7 +94,7 @@ def place_pixels_lanes(
             up_x, up_y, up_z = face.up_ws[0], face.up_ws[1], face.up_ws[2]
             forward_x, forward_y, forward_z = face.forward_ws[0], face.forward_ws[1], face.forward_ws[2]
             in_perspective = face.perspective != 0
-            for k in range(LANES):
+            for k in range(PIXEL_LANES):
                 wx = origin_x[k] - face_x
                 wy = origin_y[k] - face_y
                 wz = origin_z[k] - face_z
@@ -121,13 +121,13 @@ def place_pixels_lanes(
         high_u = Floats(-wp.inf)
         high_v = Floats(-wp.inf)
         high_h = Floats(-wp.inf)
-        for x0 in range(0, pixels.width, LANES):
+        for x0 in range(0, pixels.width, PIXEL_LANES):
             at = row_begin + wp.min(x0, last)
             own = places.face[at]
             us = places.u[at]
             vs = places.v[at]
             hs = places.h[at]
-            for k in range(LANES):
+            for k in range(PIXEL_LANES):
                 here = own[k] == f
                 low_u[k] = wp.min(low_u[k], wp.where(here, us[k], wp.inf))
                 low_v[k] = wp.min(low_v[k], wp.where(here, vs[k], wp.inf))

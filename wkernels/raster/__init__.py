@@ -29,8 +29,8 @@ from wkernels.errors import InputError
 from wkernels.raster.blocks import MAX_VIEWS, TriangleBlocks
 from wkernels.raster.counting import COUNT_ALL, COUNT_FARTHER, COUNT_NEARER, Counted, count_plainly
 from wkernels.raster.homogeneous import project_homogeneous
-from wkernels.raster.lane_bands import PIECE, DepthKey
 from wkernels.raster.lane_counting import LaneCounter
+from wkernels.raster.lane_target import PIECE, DepthKey
 from wkernels.raster.lanes import MAX_TRIANGLES, LaneRasteriser, depth_key
 from wkernels.raster.plain_splits import clip_flagged, draw_splits_plainly
 from wkernels.raster.scratch import Scratch

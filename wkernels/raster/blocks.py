@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 from wkernels.device.launch import launch
-from wkernels.raster.lane_culling import LANES
+from wkernels.raster.lane_culling import MESH_LANES
 from wkernels.raster.triangles import is_finite_position
 from wkernels.scene.views import View
 
@@ -38,7 +38,7 @@ def bound_blocks(
     low = wp.vec3(wp.inf, wp.inf, wp.inf)
     high = wp.vec3(-wp.inf, -wp.inf, -wp.inf)
     broken = int(0)
-    for i in range(3 * LANES * block, 3 * wp.min(LANES * (block + 1), triangles)):
+    for i in range(3 * MESH_LANES * block, 3 * wp.min(MESH_LANES * (block + 1), triangles)):
         p = points_ws[indices[i]]
         if not is_finite_position(p):
             broken = 1
@@ -160,7 +160,7 @@ class TriangleBlocks:
     def __init__(self, points_ws: wp.array, indices: wp.array, device: str = "cpu", threads: int | None = None) -> None:
         self.points_ws, self.indices, self.device, self.threads = points_ws, indices, device, threads
         self.triangles = len(indices) // 3
-        lanes = int(LANES)
+        lanes = int(MESH_LANES)
         self.blocks, self.runs = -(-self.triangles // lanes), -(-len(points_ws) // lanes)
         corners = indices.numpy()[: 3 * self.triangles].astype(np.int64) // lanes
         own = np.repeat(np.arange(self.triangles) // lanes, 3)
@@ -174,7 +174,7 @@ class TriangleBlocks:
 
     def update(self, moved: Sequence[tuple[int, int]]) -> None:
         """Finds the boxes anew where vertices have moved: ranges of triangles, begin and end."""
-        lanes = int(LANES)
+        lanes = int(MESH_LANES)
         for begin, end in moved:
             first, last = begin // lanes, -(-min(end, self.triangles) // lanes)
             if last > first:

@@ -5,30 +5,23 @@ from __future__ import annotations
 import warp as wp
 
 from wkernels.raster.lane_culling import SMALL, column_of, edge_32, first_centre, last_centre, row_of
+from wkernels.raster.lane_target import PIECE, DepthKey, Piece, Target, clear_rows, draw_piece, finish_rows
 from wkernels.raster.triangles import (
     CULL_BACK,
     CULL_FRONT,
     HALF_PIXEL,
-    NO_TRIANGLE,
     SUBPIXELS,
     edge,
     top_left_bias,
 )
 
-LANES = wp.constant(64)  # triangles set up in one step
-PIECE = wp.constant(8)  # pixels drawn in one step
+BAND_LANES = wp.constant(64)  # triangles set up in one step
 PIECE_64 = wp.constant(wp.float64(8.0))
 PIXEL_64 = wp.constant(wp.float64(256.0))
-FAR_KEY = wp.constant(1.0e30)
 UNCOVERED = wp.constant(-4.0e30)  # times (edge function + 1/2): beyond any key where negative, below any where not
-PEELED = wp.constant(4.0e30)  # times 1/2: beyond any key
-HUGE = wp.constant(1.0e38)
-LEAST_FACTOR = wp.constant(1.0e-30)  # beyond a warped view's horizon, where nothing is drawn
 
-Ints = wp.types.vector(length=LANES, dtype=wp.int32)
-Floats = wp.types.vector(length=LANES, dtype=wp.float32)
-Piece = wp.types.vector(length=PIECE, dtype=wp.float32)
-IntPiece = wp.types.vector(length=PIECE, dtype=wp.int32)
+Ints = wp.types.vector(length=BAND_LANES, dtype=wp.int32)
+Floats = wp.types.vector(length=BAND_LANES, dtype=wp.float32)
 
 
 @wp.func
@@ -55,74 +48,6 @@ def add_row(low: wp.int64, step: wp.int64, span: wp.vec2i):
     elif low < wp.int64(0):
         end = -1
     return wp.vec2i(begin, end)
-
-
-@wp.struct
-class Target:
-    """The images that are drawn into, at least a piece wide. They hold keys and, as floats, triangles until the end."""
-
-    key: wp.array(dtype=float)  # flat, ``pitch`` from row to row
-    key_piece: wp.array(dtype=Piece)  # the same memory, a piece from every float on
-    triangle: wp.array(dtype=float)
-    triangle_piece: wp.array(dtype=Piece)
-    triangle_out: wp.array(dtype=int)  # the same memory as integers
-    triangle_out_piece: wp.array(dtype=IntPiece)
-    with_triangles: int
-    width: int
-    height: int
-    pitch: int
-    peels: int  # 1: keys are kept in ``nearer`` too; 2: and only what lies farther than those there is drawn
-    nearer: wp.array(dtype=float)  # the keys of what was peeled off before, of the same pitch
-    nearer_piece: wp.array(dtype=Piece)
-
-
-@wp.struct
-class DepthKey:
-    """What the keys of a view are and how depths follow from them."""
-
-    perspective: int  # 1: key -1/w, depth = factor / -key; 0: key depth/w, depth = key / factor
-    warped: int  # whether the factor is not 1
-    constant: float  # factor = constant + per_column * column + per_row * row
-    per_column: float
-    per_row: float
-
-
-@wp.func
-def unwarp(key: DepthKey, target: Target, top: int, bottom: int, steps: Piece):
-    """Rewrites a band's keys as those that the view would have without a warp: of depth itself."""
-    width = target.width
-    least = Piece(LEAST_FACTOR)
-    for y in range(top, bottom + 1):
-        row = key.constant + key.per_row * float(y)
-        whole = width / PIECE * PIECE
-        for x in range(0, whole, PIECE):
-            factor = wp.max(steps * key.per_column + Piece(row + key.per_column * float(x)), least)
-            held = target.key_piece[y * target.pitch + x]
-            target.key_piece[y * target.pitch + x] = wp.cw_div(held, factor)
-        for x in range(whole, width):
-            factor_x = wp.max(row + key.per_column * float(x), LEAST_FACTOR)
-            target.key[y * target.pitch + x] = target.key[y * target.pitch + x] / factor_x
-
-
-@wp.func
-def keep_piece(target: Target, at: int, key: Piece, triangle: Piece):
-    """Keeps the nearer of a piece's keys and the target's, and its triangle; the first stays where they are equal."""
-    old = target.key_piece[at]
-    if target.with_triangles != 0:
-        nearer = wp.min(wp.max((old - key) * HUGE, Piece(0.0)), Piece(1.0))
-        held = target.triangle_piece[at]
-        target.triangle_piece[at] = held + wp.cw_mul(nearer, triangle - held)
-    target.key_piece[at] = wp.min(old, key)
-
-
-@wp.func
-def draw_piece(target: Target, at: int, key: Piece, triangle: Piece):
-    """``keep_piece`` of what lies farther than what was peeled off before, if anything was."""
-    if target.peels == 2:
-        farther = wp.min(wp.max((key - target.nearer_piece[at]) * HUGE, Piece(0.0)), Piece(1.0))
-        keep_piece(target, at, wp.max(key, (Piece(0.5) - farther) * PEELED), triangle)
-    else:
-        keep_piece(target, at, key, triangle)
 
 
 @wp.func
@@ -232,22 +157,7 @@ def draw_band(
     top = band * band_rows
     bottom = wp.min(top + band_rows, target.height) - 1
     pitch = target.pitch
-    # rows that lie side by side are cleared and finished as one
-    rows = wp.where(pitch == width, 1, bottom - top + 1)
-    row_pixels = wp.where(pitch == width, (bottom - top + 1) * width, width)
-    perspective = depth_key.perspective
-    background = wp.where(perspective == 1, 0.0, FAR_KEY)
-    clear = Piece(background)
-    nothing = Piece(-1.0)
-    for row in range(rows):
-        begin = (top + row) * pitch
-        end = begin + row_pixels
-        last_piece = end - PIECE  # a row is at least a piece wide; clearing some pixels twice does no harm
-        for at in range(begin, end, PIECE):
-            target.key_piece[wp.min(at, last_piece)] = clear
-        if target.with_triangles != 0:
-            for at in range(begin, end, PIECE):
-                target.triangle_piece[wp.min(at, last_piece)] = nothing
+    clear_rows(target, depth_key, top, bottom)
     e_a = Floats(0.0)
     e_b = Floats(0.0)
     e_c = Floats(0.0)
@@ -269,9 +179,9 @@ def draw_band(
     y1 = Ints(0)
     wide = Ints(0)
     list_end = band_begin[band + 1]
-    for i0 in range(band_begin[band], list_end, LANES):
+    for i0 in range(band_begin[band], list_end, BAND_LANES):
         listed = band_list[i0]
-        for k in range(LANES):
+        for k in range(BAND_LANES):
             t = listed[k]
             a = corners[t]
             b = corners[corner_pitch + t]
@@ -332,7 +242,7 @@ def draw_band(
             y0[k] = upper
             y1[k] = wp.min(last_centre(high_y), bottom)
             wide[k] = wp.where(wp.max(high_x - low_x, high_y - low_y) > SMALL, 1, 0)
-        for k in range(wp.min(LANES, list_end - i0)):
+        for k in range(wp.min(BAND_LANES, list_end - i0)):
             t = listed[k]
             name = float(t)
             if t >= first_clipped:
@@ -364,35 +274,4 @@ def draw_band(
                         in_b += down_b
                         in_c += down_c
                         at += pitch
-    if target.peels != 0:
-        for row in range(rows):
-            begin = (top + row) * pitch
-            end = begin + row_pixels
-            for at in range(begin, end, PIECE):
-                target.nearer_piece[wp.min(at, end - PIECE)] = target.key_piece[wp.min(at, end - PIECE)]
-    if depth_key.warped != 0:
-        unwarp(depth_key, target, top, bottom, steps)
-    # Keys become depths; what lies beyond the far plane, and the background, overflows to infinity.
-    one = Piece(1.0)
-    zero = Piece(0.0)
-    limit = Piece(far)
-    for row in range(rows):
-        begin = (top + row) * pitch
-        end = begin + row_pixels
-        whole = (end - begin) / PIECE * PIECE
-        for at in range(begin, begin + whole, PIECE):
-            depth = target.key_piece[at]
-            if perspective == 1:
-                depth = wp.cw_div(one, zero - depth)  # 0 - 0 is +0, whose reciprocal is +inf
-            beyond = wp.max(depth - limit, zero) * HUGE
-            target.key_piece[at] = depth + beyond * HUGE
-            if target.with_triangles != 0:
-                held = target.triangle_piece[at]
-                target.triangle_out_piece[at] = IntPiece(held + wp.cw_mul(wp.min(beyond, one), nothing - held))
-        for at in range(begin + whole, end):
-            last = float(target.key[at])
-            if perspective == 1:
-                last = 1.0 / (0.0 - last)
-            target.key[at] = wp.where(last <= far, last, wp.inf)
-            if target.with_triangles != 0:
-                target.triangle_out[at] = wp.where(last <= far, int(target.triangle[at]), NO_TRIANGLE)
+    finish_rows(target, depth_key, top, bottom, far, steps)

@@ -11,22 +11,10 @@ from typing import Any
 import warp as wp
 
 from wkernels.raster.counting import COUNT_ALL, Counted
-from wkernels.raster.lane_bands import (
-    HUGE,
-    LANES,
-    PIECE,
-    PIECE_64,
-    PIXEL_64,
-    DepthKey,
-    Floats,
-    IntPiece,
-    Ints,
-    Piece,
-    add_row,
-    bias_32,
-)
+from wkernels.raster.lane_bands import BAND_LANES, PIECE_64, PIXEL_64, Floats, Ints, add_row, bias_32
 from wkernels.raster.lane_culling import SMALL, column_of, edge_32, first_centre, last_centre, row_of
 from wkernels.raster.lane_lists import LaneLists
+from wkernels.raster.lane_target import HUGE, PIECE, DepthKey, IntPiece, Piece
 from wkernels.raster.lanes import pieces
 from wkernels.raster.triangles import HALF_PIXEL, SUBPIXELS, edge, top_left_bias
 from wkernels.scene.views import View
@@ -199,9 +187,9 @@ def count_band(
     x1 = Ints(0)
     y1 = Ints(0)
     list_end = band_begin[band + 1]
-    for i0 in range(band_begin[band], list_end, LANES):
+    for i0 in range(band_begin[band], list_end, BAND_LANES):
         listed = band_list[i0]
-        for k in range(LANES):
+        for k in range(BAND_LANES):
             t = listed[k]
             a = corners[t]
             b = corners[corner_pitch + t]
@@ -262,7 +250,7 @@ def count_band(
             y0[k] = upper
             x1[k] = wp.min(last_centre(high_x), width - 1)
             y1[k] = wp.min(last_centre(high_y), bottom)
-        for k in range(wp.min(LANES, list_end - i0)):
+        for k in range(wp.min(BAND_LANES, list_end - i0)):
             if wide[k] != 0:
                 box = wp.vec4i(x0[k], y0[k], x1[k], y1[k])
                 count_wide(target, corners, corner_pitch, vertex, key, listed[k], box, front_weight, back_weight, steps)

@@ -8,14 +8,14 @@ from wkernels.raster.clipping import CLIP_TRIANGLES
 from wkernels.raster.triangles import CULL_BACK, CULL_NONE, GUARD_PIXELS, HALF_PIXEL, SUBPIXELS
 from wkernels.scene.views import View
 
-LANES = wp.constant(128)  # vertices or triangles in one step
+MESH_LANES = wp.constant(128)  # vertices or triangles in one step
 OUTSIDE = wp.constant(1 << 28)  # column of a vertex that needs clipping
 SMALL = wp.constant(32767)  # subpixels: the widest box whose edge functions fit 32 bits
 
-Ints = wp.types.vector(length=LANES, dtype=wp.int32)
-Longs = wp.types.vector(length=LANES, dtype=wp.int64)
-Floats = wp.types.vector(length=LANES, dtype=wp.float32)
-Points = wp.types.vector(length=3 * LANES, dtype=wp.float32)
+Ints = wp.types.vector(length=MESH_LANES, dtype=wp.int32)
+Longs = wp.types.vector(length=MESH_LANES, dtype=wp.int64)
+Floats = wp.types.vector(length=MESH_LANES, dtype=wp.float32)
+Points = wp.types.vector(length=3 * MESH_LANES, dtype=wp.float32)
 
 
 @wp.func
@@ -82,7 +82,7 @@ def project_lanes(
     height = float(view.height)
     vertices = Longs()
     keys = Floats(0.0)
-    for k in range(LANES):
+    for k in range(MESH_LANES):
         x = points[3 * k]
         y = points[3 * k + 1]
         z = points[3 * k + 2]
@@ -135,8 +135,10 @@ def append_clipped(
 @wp.func
 def chunk_start(begin: int, end: int, part: int, chunks: int):
     """First triangle of a part of begin..end: a whole number of runs, or the end."""
-    runs = (end + LANES - 1) / LANES - begin / LANES
-    return wp.clamp((begin / LANES + int(wp.int64(runs) * wp.int64(part) / wp.int64(chunks))) * LANES, begin, end)
+    runs = (end + MESH_LANES - 1) / MESH_LANES - begin / MESH_LANES
+    return wp.clamp(
+        (begin / MESH_LANES + int(wp.int64(runs) * wp.int64(part) / wp.int64(chunks))) * MESH_LANES, begin, end
+    )
 
 
 @wp.kernel
@@ -175,11 +177,11 @@ def cull_lanes(
     # neighbouring triangles mostly lie in the same band: they are counted when another one comes
     last_span = int(0)
     alike = int(0)
-    for t0 in range(t_begin, t_end, LANES):
-        corners_a = corners[t0 / LANES]
-        corners_b = corners[pitch + t0 / LANES]
-        corners_c = corners[2 * pitch + t0 / LANES]
-        for k in range(LANES):
+    for t0 in range(t_begin, t_end, MESH_LANES):
+        corners_a = corners[t0 / MESH_LANES]
+        corners_b = corners[pitch + t0 / MESH_LANES]
+        corners_c = corners[2 * pitch + t0 / MESH_LANES]
+        for k in range(MESH_LANES):
             a = vertex[corners_a[k]]
             b = vertex[corners_b[k]]
             c = vertex[corners_c[k]]
@@ -210,7 +212,7 @@ def cull_lanes(
             spans[k] = (top >> band_shift) | ((bottom >> band_shift) << 16)
         n = int(0)
         crossing = int(0)
-        for k in range(wp.min(LANES, t_end - t0)):
+        for k in range(wp.min(MESH_LANES, t_end - t0)):
             kept[n] = k
             n += keep[k]
             crossing += outside[k]
@@ -227,7 +229,7 @@ def cull_lanes(
                 alike = 0
             alike += 1
         if crossing > 0:
-            for k in range(wp.min(LANES, t_end - t0)):
+            for k in range(wp.min(MESH_LANES, t_end - t0)):
                 if outside[k] != 0:
                     clipped_out[clipped] = t0 + k
                     clipped += 1

@@ -12,10 +12,10 @@ import warp as wp
 from wkernels.raster.blocks import BlockViews
 from wkernels.raster.clipping import CLIP_TRIANGLES, CLIP_VERTICES, clip_homogeneous, clip_triangles
 from wkernels.raster.homogeneous import pack_homogeneous
-from wkernels.raster.lane_bands import LANES as BAND_LANES
+from wkernels.raster.lane_bands import BAND_LANES
 from wkernels.raster.lane_bands import Ints as BandInts
 from wkernels.raster.lane_culling import (
-    LANES,
+    MESH_LANES,
     Floats,
     Ints,
     Longs,
@@ -98,8 +98,8 @@ class LaneLists:
         scratch = self._scratch
         vertices, triangles = len(points_ws), len(indices) // 3
         shape, bands = _shape_of(view, cull)
-        self._hold_corners(indices, _runs(triangles) * LANES)
-        room = _runs(vertices) * LANES
+        self._hold_corners(indices, _runs(triangles) * MESH_LANES)
+        room = _runs(vertices) * MESH_LANES
         vertex, key = scratch.array("vertex", (room,), wp.int64), scratch.array("key", (room,), float)
         inputs: list[Any]
         if points_ws.dtype is wp.vec4:
@@ -140,11 +140,11 @@ class LaneLists:
         scratch, views = self._scratch, splits.count
         vertices, triangles = len(points_ws), len(indices) // 3
         shape, bands = _shape_of(view, cull)
-        self._hold_corners(indices, _runs(triangles) * LANES)
+        self._hold_corners(indices, _runs(triangles) * MESH_LANES)
         runs = _runs(vertices)
         splits.vertex_runs, splits.triangles = runs + CLIP_RUNS, triangles
         splits.bands, splits.chunks = bands, CHUNKS
-        room = splits.vertex_runs * LANES
+        room = splits.vertex_runs * MESH_LANES
         vertex = scratch.array("split vertex", (views * room,), wp.int64)
         key = scratch.array("split key", (views * room,), float)
         survivor, span, clipped = (
@@ -174,7 +174,8 @@ class LaneLists:
         """Clips and lists what is left of the triangles in one view."""
         scratch = self._scratch
         vertices, triangles = len(points_ws), len(indices) // 3
-        clip_vertex, clip_begin = _runs(vertices) * LANES, _runs(triangles) * LANES  # where those of clipped ones go
+        # where those of clipped ones go
+        clip_vertex, clip_begin = _runs(vertices) * MESH_LANES, _runs(triangles) * MESH_LANES
         shape, bands = _shape_of(view, cull)
         vertex, key, survivor, span = culled.vertex, culled.key, culled.survivor, culled.span
         found, counts = culled.found, culled.counts
@@ -199,7 +200,7 @@ class LaneLists:
             survivor = self._with_room("survivor", survivor, total, triangles)
             span = self._with_room("span", span, total, triangles)
             inputs = [clip_screen, clip_corners, clip_vertex, clip_begin, perspective]
-            outputs = [vertex, key, self._corners, self._corner_pitch * LANES]
+            outputs = [vertex, key, self._corners, self._corner_pitch * MESH_LANES]
             scratch.launch(append_clipped, slots, inputs, outputs)
             inputs = [self._corner_runs, self._corner_pitch, vertex, clip_begin, total, CHUNKS, 1, *_parts(shape)]
             scratch.launch(cull_lanes, 1, inputs, [survivor, span, culled.clipped, found, counts])
@@ -214,17 +215,17 @@ class LaneLists:
         list_runs = wp.array(ptr=band_list.ptr, dtype=BandInts, shape=listed + 1, strides=(4,), device="cpu")
         begins = wp.array(chunk_begin, dtype=int, device="cpu")
         scratch.launch(list_bands, CHUNKS + 1, [survivor, span, begins, found, counts], [band_list])
-        pitch, rows = self._corner_pitch * int(LANES), 1 << shape.band_shift
+        pitch, rows = self._corner_pitch * int(MESH_LANES), 1 << shape.band_shift
         return BandLists(
             self._corners, pitch, vertex, key, clip_triangle, clip_begin, band_begin, list_runs, bands, rows
         )
 
     def _point_runs(self, points_ws: wp.array) -> tuple[wp.array, wp.array]:
         """Points in whole runs, and a run of what is left of them."""
-        whole = len(points_ws) // LANES
+        whole = len(points_ws) // MESH_LANES
         runs = wp.array(ptr=points_ws.ptr, dtype=Points, shape=whole, device="cpu")
         rest = self._scratch.array("last points", (1, 1), Points)
-        left = points_ws.numpy()[whole * LANES :].ravel()
+        left = points_ws.numpy()[whole * MESH_LANES :].ravel()
         rest.numpy().ravel()[: left.size] = left
         return runs, rest
 
@@ -239,12 +240,12 @@ class LaneLists:
 
     def _hold_corners(self, indices: wp.array, count: int) -> None:
         """All first corners, then all second ones, then all third ones, each with room for ``count`` in whole runs."""
-        if self._corners_of is indices and self._corner_pitch * LANES >= count:
+        if self._corners_of is indices and self._corner_pitch * MESH_LANES >= count:
             return
         self._corner_pitch = _runs(count + count // 8)
-        self._corners = self._scratch.array("corners", (3 * self._corner_pitch * LANES,), int)
+        self._corners = self._scratch.array("corners", (3 * self._corner_pitch * MESH_LANES,), int)
         self._corner_runs = wp.array(ptr=self._corners.ptr, dtype=Ints, shape=3 * self._corner_pitch, device="cpu")
-        held = self._corners.numpy()[: 3 * self._corner_pitch * LANES].reshape(3, -1)
+        held = self._corners.numpy()[: 3 * self._corner_pitch * MESH_LANES].reshape(3, -1)
         triangles = len(indices) // 3
         held[:, :triangles] = indices.numpy()[: 3 * triangles].reshape(-1, 3).T
         held[:, triangles:] = 0
@@ -265,14 +266,14 @@ def _parts(shape: CullShape) -> list[int]:
 
 
 def _in_runs(values: wp.array, dtype: type) -> wp.array:
-    return wp.array(ptr=values.ptr, dtype=dtype, shape=len(values) // int(LANES), device="cpu")
+    return wp.array(ptr=values.ptr, dtype=dtype, shape=len(values) // int(MESH_LANES), device="cpu")
 
 
 def _runs(count: int) -> int:
-    return -(-count // LANES)
+    return -(-count // MESH_LANES)
 
 
 def _chunk_begin(triangles: int, clip_begin: int) -> np.ndarray:
     """First triangle of each chunk, as ``lane_culling.chunk_start`` has it, and of the clipped ones."""
-    starts = [min(_runs(triangles) * k // CHUNKS * LANES, triangles) for k in range(CHUNKS)]
+    starts = [min(_runs(triangles) * k // CHUNKS * MESH_LANES, triangles) for k in range(CHUNKS)]
     return np.array([*starts, clip_begin], dtype=np.int32)

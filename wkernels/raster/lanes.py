@@ -21,8 +21,9 @@ import numpy as np
 import warp as wp
 
 from wkernels.raster.blocks import BlockViews
-from wkernels.raster.lane_bands import PIECE, DepthKey, IntPiece, Piece, Target, draw_band
+from wkernels.raster.lane_bands import draw_band
 from wkernels.raster.lane_lists import BandLists, LaneLists
+from wkernels.raster.lane_target import PIECE, DepthKey, IntPiece, Piece, Target
 from wkernels.raster.split_culling import Splits
 from wkernels.scene.views import View
 

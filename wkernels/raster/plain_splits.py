@@ -12,7 +12,7 @@ import warp as wp
 
 from wkernels.raster.blocks import BlockViews, needs
 from wkernels.raster.clipping import CLIP_TRIANGLES, CLIP_VERTICES, clip_homogeneous, clip_triangles
-from wkernels.raster.lane_culling import LANES
+from wkernels.raster.lane_culling import MESH_LANES
 from wkernels.raster.scratch import Scratch
 from wkernels.raster.stripes import BACKGROUND_KEY, STRIPES, draw_rows, draw_stripe, split_key
 from wkernels.raster.tiles import draw_tiles
@@ -52,7 +52,7 @@ def project_vertices_cloned(
     """A vertex in each of ``count`` views from ``view_0`` on."""
     v = first + wp.tid()
     for i in range(count):
-        mask = run_mask[v / LANES]
+        mask = run_mask[v / MESH_LANES]
         screen_out[i * points_ws.shape[0] + v] = project_vertex(points_ws[v], views[view_0 + i], mask, view_0 + i)
 
 
@@ -68,7 +68,7 @@ def project_vertices_instanced(
     """A vertex in one view."""
     row, i = wp.tid()
     v = first + row
-    mask = run_mask[v / LANES]
+    mask = run_mask[v / MESH_LANES]
     screen_out[i * points_ws.shape[0] + v] = project_vertex(points_ws[v], views[view_0 + i], mask, view_0 + i)
 
 
@@ -86,7 +86,7 @@ def flag_splits(
     row, i = wp.tid()
     t = first + row
     flag = wp.uint8(0)
-    if needs(block_mask[t / LANES], view_0 + i):
+    if needs(block_mask[t / MESH_LANES], view_0 + i):
         for k in range(3):
             if screen[i * vertices + indices[3 * t + k]][3] < 0.0:
                 flag = wp.uint8(1)
@@ -123,7 +123,7 @@ def draw_stripe_cloned(
     row, stripe = wp.tid()
     t = first + row
     for i in range(far.shape[0]):
-        if needs(block_mask[t / LANES], view_0 + i):
+        if needs(block_mask[t / MESH_LANES], view_0 + i):
             draw_rows(in_view(triangles, i, vertices, far[i]), t, stripe, stripes, i * triangles.height, key_out)
 
 
@@ -141,7 +141,7 @@ def draw_stripe_instanced(
     """CUDA: ``draw_rows`` of one triangle in one view."""
     row, i, stripe = wp.tid()
     t = first + row
-    if needs(block_mask[t / LANES], view_0 + i):
+    if needs(block_mask[t / MESH_LANES], view_0 + i):
         draw_rows(in_view(triangles, i, vertices, far[i]), t, stripe, stripes, i * triangles.height, key_out)
 
 

@@ -12,7 +12,7 @@ import warp as wp
 
 from wkernels.raster.blocks import needs
 from wkernels.raster.lane_culling import (
-    LANES,
+    MESH_LANES,
     OUTSIDE,
     SMALL,
     Floats,
@@ -78,7 +78,7 @@ def project_run(
     height = float(view.height)
     vertices = Longs()
     keys = Floats(0.0)
-    for k in range(LANES):
+    for k in range(MESH_LANES):
         x = points[3 * k]
         y = points[3 * k + 1]
         z = points[3 * k + 2]
@@ -142,10 +142,10 @@ def cull_run(
     clipped = state[1]
     last_span = state[2]
     alike = state[3]
-    corners_a = corners[t0 / LANES]
-    corners_b = corners[pitch + t0 / LANES]
-    corners_c = corners[2 * pitch + t0 / LANES]
-    for k in range(LANES):
+    corners_a = corners[t0 / MESH_LANES]
+    corners_b = corners[pitch + t0 / MESH_LANES]
+    corners_c = corners[2 * pitch + t0 / MESH_LANES]
+    for k in range(MESH_LANES):
         a = vertex[vertex_begin + corners_a[k]]
         b = vertex[vertex_begin + corners_b[k]]
         c = vertex[vertex_begin + corners_c[k]]
@@ -176,7 +176,7 @@ def cull_run(
         spans[k] = (top >> band_shift) | ((bottom >> band_shift) << 16)
     n = int(0)
     crossing = int(0)
-    for k in range(wp.min(LANES, t_end - t0)):
+    for k in range(wp.min(MESH_LANES, t_end - t0)):
         kept[n] = k
         n += keep[k]
         crossing += outside[k]
@@ -193,7 +193,7 @@ def cull_run(
             alike = 0
         alike += 1
     if crossing > 0:
-        for k in range(wp.min(LANES, t_end - t0)):
+        for k in range(wp.min(MESH_LANES, t_end - t0)):
             if outside[k] != 0:
                 clipped_out[clipped] = t0 + k
                 clipped += 1
@@ -276,13 +276,13 @@ def cull_instanced(
     for band in range(splits.bands):
         counts_out[row_0 + band, part] = 0
     state = wp.vec4i(own, own, 0, 0)
-    for t0 in range(t_begin, t_end, LANES):
-        if needs(block_mask[t0 / LANES], view):
+    for t0 in range(t_begin, t_end, MESH_LANES):
+        if needs(block_mask[t0 / MESH_LANES], view):
             state = cull_run(
                 corners,
                 pitch,
                 vertex,
-                i * splits.vertex_runs * LANES,
+                i * splits.vertex_runs * MESH_LANES,
                 t0,
                 t_end,
                 shape,
@@ -327,15 +327,15 @@ def cull_cloned(
         states[i, 1] = own
         for band in range(splits.bands):
             counts_out[i * splits.bands + band, part] = 0
-    for t0 in range(t_begin, t_end, LANES):
-        mask = block_mask[t0 / LANES]
+    for t0 in range(t_begin, t_end, MESH_LANES):
+        mask = block_mask[t0 / MESH_LANES]
         for i in range(splits.count):
             if needs(mask, splits.first + i):
                 state = cull_run(
                     corners,
                     pitch,
                     vertex,
-                    i * splits.vertex_runs * LANES,
+                    i * splits.vertex_runs * MESH_LANES,
                     t0,
                     t_end,
                     shape,

@@ -22,8 +22,8 @@ from wkernels.rays.shaft_culling import reach_of_children, reach_of_triangles, s
 from wkernels.rays.single_rays import NO_RECEIVER, PROVEN_DARK, PROVEN_LIT, TRACED, ray_origin
 from wkernels.scene.geometry import CASTS, RECEIVES
 
-LANES = wp.constant(64)
-GROUPS = wp.constant(4)  # of 64 samples, per walk of the tree
+GROUP_LANES = wp.constant(64)  # samples of a group, which meet a triangle in one step
+GROUPS = wp.constant(4)  # per walk of the tree
 BATCH = 256  # samples of one walk
 Floats = wp.types.vector(length=BATCH, dtype=wp.float32)
 Masks = wp.types.vector(length=WIDTH, dtype=wp.int32)
@@ -140,17 +140,17 @@ def trace_shafts(
         groups = wp.min(GROUPS, samples.groups - batch * GROUPS)
         open_groups = int(0)
         for g in range(groups):
-            base = g * LANES
+            base = g * GROUP_LANES
             visible_lanes = int(0)
             if (flags & CASTS) != 0:
-                for k in range(LANES):
+                for k in range(GROUP_LANES):
                     facing = n_x * (xs[base + k] - p_x) + n_y * (ys[base + k] - p_y) + n_z * (zs[base + k] - p_z)
                     hidden[base + k] = wp.where(facing <= 0.0, 1.0, -1.0)
                     visible_lanes += wp.where(facing <= 0.0, 0, 1)
             else:
-                for k in range(LANES):
+                for k in range(GROUP_LANES):
                     hidden[base + k] = -1.0
-                visible_lanes = LANES
+                visible_lanes = GROUP_LANES
             if visible_lanes > 0:
                 open_groups = open_groups | (1 << g)
             at = batch * GROUPS + g
@@ -201,9 +201,9 @@ def trace_shafts(
                 for g in range(groups):
                     if (touches[k] & (1 << g)) == 0:
                         continue
-                    base = g * LANES
+                    base = g * GROUP_LANES
                     if hull.is_point == 0.0:  # directions: no offsets, and no end of the way
-                        for lane in range(LANES):
+                        for lane in range(GROUP_LANES):
                             x = xs[base + lane]
                             y_s = ys[base + lane]
                             z = zs[base + lane]
@@ -212,7 +212,7 @@ def trace_shafts(
                             e_c = x * c_x + y_s * c_y + z * c_z
                             hidden[base + lane] = wp.max(hidden[base + lane], wp.min(wp.min(e_a, e_b), e_c))
                         continue
-                    for lane in range(LANES):
+                    for lane in range(GROUP_LANES):
                         x = xs[base + lane]
                         y_s = ys[base + lane]
                         z = zs[base + lane]
@@ -224,16 +224,16 @@ def trace_shafts(
                         hidden[base + lane] = wp.max(hidden[base + lane], inside)
             if count > 0 and prove != 0:
                 for g in range(groups):
-                    base = g * LANES
+                    base = g * GROUP_LANES
                     open_lanes = int(0)
-                    for k in range(LANES):
+                    for k in range(GROUP_LANES):
                         open_lanes += wp.where(hidden[base + k] >= 0.0, 0, 1)
                     if open_lanes == 0:
                         open_groups = open_groups & ~(1 << g)
                 if open_groups == 0:
                     top = 0
         weights = samples.weight[batch]
-        for k in range(groups * LANES):
+        for k in range(groups * GROUP_LANES):
             total += weights[k]
             seen += wp.where(hidden[k] >= 0.0, 0.0, weights[k])
     visible = seen / wp.max(total, 1.0e-30)
@@ -265,16 +265,16 @@ def sample_batches(samples: np.ndarray, weights: np.ndarray, device: str = "cpu"
         wp.array(np.ascontiguousarray(by_batch[:, :, axis]), dtype=Floats, device=device) for axis in range(3)
     )
     out.weight = wp.array(held.reshape(-1, BATCH), dtype=Floats, device=device)
-    by_group = points[padded].reshape(-1, int(LANES), 3)
+    by_group = points[padded].reshape(-1, int(GROUP_LANES), 3)
     out.low = wp.array(by_group.min(axis=1), dtype=wp.vec3, device=device)
     out.high = wp.array(by_group.max(axis=1), dtype=wp.vec3, device=device)
-    out.groups = -(-len(order) // int(LANES))
+    out.groups = -(-len(order) // int(GROUP_LANES))
     return out
 
 
 def _compact_groups(points: np.ndarray, which: np.ndarray) -> list[np.ndarray]:
     """Splits samples in half along their longest extent, in whole groups, until a group is left."""
-    lanes = int(LANES)
+    lanes = int(GROUP_LANES)
     if len(which) <= lanes:
         return [which]
     axis = int(np.argmax(np.ptp(points[which], axis=0)))

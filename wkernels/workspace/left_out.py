@@ -12,14 +12,28 @@ Reasoned = tuple[str, str]
 """What was left out, and the reason, as results tell it."""
 
 
+class Because(Enum):
+    """Reasons that a scene alone decides, so that ``explain`` can tell beforehand what is left out for them."""
+
+    NOTHING_CASTS = "nothing casts"
+    NO_CASTER_MOVES = "no caster moves"
+    NO_AREA = "the light has no area"
+
+
 class Omission(Enum):
-    """Base of lists of what may be left out; the value of a member is the pair (what, reason)."""
+    """Base of lists of what may be left out; the value of a member is what, and a reason: a ``Because`` or a text."""
 
     @property
     def pair(self) -> Reasoned:
         """What is left out, and why it is not needed."""
         what, reason = self.value
-        return what, reason
+        return what, reason.value if isinstance(reason, Because) else reason
+
+    @property
+    def because(self) -> Because | None:
+        """The reason, where a scene alone decides it."""
+        reason = self.value[1]
+        return reason if isinstance(reason, Because) else None
 
 
 class LeavesOut:

@@ -5,12 +5,42 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any
 
+from wkernels.workspace.left_out import Omission
+
 UNCHANGED = "its inputs have not changed since it was built"
-UNASKED = "nothing asks for it"
-OPTIONAL = ("light depth map", "light samples", "caster ray structure", "caster tree", "history")
-"""Names of what a frame may do without, and which is worth saying: history buffers are no product, but alike."""
+
+
+class Product(Enum):
+    """What a frame offers and a technique declares to pull; the value is the name of the pass that builds it."""
+
+    G_BUFFER = "g-buffer"
+    LIGHT_MAP = "light depth map"
+    KEPT_MAPS = "maps"  # of many light samples, over frames
+    LIGHT_SAMPLES = "light samples"
+    RAY_STRUCTURE = "caster ray structure"
+    CASTER_TREE = "caster tree"
+    CASTER_EDGES = "caster edges"
+    SILHOUETTES = "silhouettes"
+    VOLUMES = "volumes"
+    HISTORY = "history"
+
+
+class Unasked(Omission):
+    """What a frame may do without, and which is worth saying."""
+
+    LIGHT_MAP = Product.LIGHT_MAP.value, "nothing asks for it"
+    LIGHT_SAMPLES = Product.LIGHT_SAMPLES.value, "nothing asks for it"
+    RAY_STRUCTURE = Product.RAY_STRUCTURE.value, "nothing asks for it"
+    CASTER_TREE = Product.CASTER_TREE.value, "nothing asks for it"
+    HISTORY = Product.HISTORY.value, "nothing asks for it"
+
+    @property
+    def product(self) -> Product:
+        """What is done without."""
+        return Product(self.pair[0])
 
 
 @dataclass
@@ -29,7 +59,7 @@ class Products:
 
     Attributes:
         visit: Number of the present stay at a frame; what was built during it is taken without asking.
-        asked: Names of what this frame has asked for.
+        asked: Names of what this frame has asked for; history buffers are no product, but alike.
     """
 
     def __init__(

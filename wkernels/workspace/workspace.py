@@ -15,7 +15,7 @@ from wkernels.device.launch import launch
 from wkernels.device.timing import PassTimer
 from wkernels.device.twin import Twin
 from wkernels.workspace.left_out import LeavesOut, Reasoned
-from wkernels.workspace.products import Products
+from wkernels.workspace.products import Product, Products
 
 
 class Workspace(LeavesOut):
@@ -62,13 +62,13 @@ class Workspace(LeavesOut):
             self._buffers[key] = wp.zeros(shape, dtype=dtype, device=self.device)
         return self._buffers[key]
 
-    def product(self, name: str, key: Hashable, inputs: Hashable, build: Callable[[Any], Any]) -> Any:
+    def product(self, name: Product | str, key: Hashable, inputs: Hashable, build: Callable[[Any], Any]) -> Any:
         """Anything that outlives a frame while its inputs stay the same.
 
         Args:
-            name: Pass name in the timings.
+            name: Pass name in the timings; what techniques may declare is a ``Product``.
             key: Identity of the product within the workspace.
             inputs: Everything it depends on, comparable; it is rebuilt when they differ.
             build: Called with the old value (or None), whose memory it may reuse; returns the new one.
         """
-        return self._products.pull(name, key, inputs, build)
+        return self._products.pull(name.value if isinstance(name, Product) else name, key, inputs, build)

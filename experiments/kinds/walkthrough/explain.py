@@ -80,6 +80,8 @@ def run_lines(experiment: Experiment, plugins: Mapping[str, type]) -> list[str]:
         projection = [f"{k}={v}" for k, v in read_projection(run.projection or {}).changed().items()]
         if projection:
             notes.append(f"projection {', '.join(projection)}")
+        if pulled := [product.value for product in cls.products]:
+            notes.append(f"pulls {', '.join(pulled)}")
         if cls.needs.history:
             notes.append("uses earlier frames")
         if run.label == experiment.baseline:

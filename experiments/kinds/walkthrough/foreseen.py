@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from algorithms.projections.composition import compose
-from algorithms.technique import MapParams
+from algorithms.projections.schema import read_projection
+from algorithms.projections.table import fits
 from wkernels.frame.empty_maps import EmptyMaps, may_see
 from wkernels.frame.map_keeper import BesideViews
 from wkernels.frame.result import TurnedAway
 from wkernels.projections.light_views import scene_views
 from wkernels.scene.geometry import Bounds
 from wkernels.scene.views import HostView, eye_view
-from wkernels.temporal.shadow_buffer.mover_shadow import MoverMap
-from wkernels.temporal.shadow_buffer.step import StepSkip
+from wkernels.workspace.left_out import Because, Omission, Reasoned
+from wkernels.workspace.products import Product, Unasked
 
 if TYPE_CHECKING:
     from experiments.schema.experiment import Experiment
     from experiments.schema.techniques import TechniqueRun
     from wkernels.scene.model import Mesh, Scene
-    from wkernels.workspace.left_out import Omission, Reasoned
 
 FRAMES_LOOKED_AT = 30  # of a walkthrough, evenly spaced, for what depends on where the eye is
 
@@ -35,17 +36,18 @@ def skip_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, type]
     lines = [*_kept_lines(experiment, scene, plugins), *_fallback_lines(experiment, scene)]
     found: dict[Reasoned, list[str]] = {}
     for run in experiment.runs:
-        for omission in own_omissions(scene, experiment.light, plugins[run.name], run.params):
-            found.setdefault(omission, []).append(run.label)
+        for pair in own_omissions(scene, experiment.light, plugins[run.name], run.params):
+            found.setdefault(pair, []).append(run.label)
     readers = [run for run in experiment.runs if reads_map(plugins[run.name])]
     if readers:
         found[TurnedAway.PIXELS.pair] = [run.label for run in readers]
     for run in readers:
         for omission, frames in _of_views(experiment, scene, run).items():
-            found.setdefault((omission[0], f"{omission[1]} ({frames})"), []).append(run.label)
+            what, why = omission.pair
+            found.setdefault((what, f"{why} ({frames})"), []).append(run.label)
     if len(readers) < len(experiment.runs):
         others = [run.label for run in experiment.runs if run not in readers]
-        found["light depth map", "nothing asks for it"] = others
+        found[Unasked.LIGHT_MAP.pair] = others
     every = len(experiment.runs)
     lines += [
         f"{'' if len(labels) == every else ', '.join(labels) + ': '}{what}: {why}"
@@ -58,24 +60,20 @@ def skip_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, type]
 
 
 def own_omissions(scene: Scene, light: int, technique: Any, params: Mapping[str, Any]) -> Iterator[Reasoned]:
-    """What a technique declares that it may leave out, without what scene or parameters rule out."""
-    ruled_out = {
-        "the light has no area": scene.lights[light].has_area,
-        "its kernel has one tap": params.get("taps") != 1,
-        "no caster moves": any(mesh.moving and mesh.casts for mesh in scene.meshes),
+    """What a technique declares that it may leave out with these parameters, without what the scene rules out."""
+    holds = {
+        Because.NO_AREA: not scene.lights[light].has_area,
+        Because.NO_CASTER_MOVES: not any(mesh.moving and mesh.casts for mesh in scene.meshes),
+        Because.NOTHING_CASTS: not any(mesh.casts for mesh in scene.meshes),
     }
-    unused = {
-        MoverMap.NO_MOVERS: params.get("mover_map", "none") == "none",
-        StepSkip.SETTLED: params.get("stop_error", 0.0) == 0.0,
-    }
-    for omission in getattr(technique, "may_leave_out", ()):
-        if not ruled_out.get(omission.pair[1], False) and not unused.get(omission, False):
+    for omission in technique(technique.Params(**params)).leaves_out():
+        if omission.because is None or holds[omission.because]:
             yield omission.pair
 
 
 def reads_map(technique: Any) -> bool:
-    """Whether a technique reads a light depth map: it has the parameters of one."""
-    return issubclass(technique.Params, MapParams)
+    """Whether a technique reads light depth maps."""
+    return not {Product.LIGHT_MAP, Product.KEPT_MAPS}.isdisjoint(technique.products)
 
 
 def _kept_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, type]) -> Iterator[str]:
@@ -114,7 +112,7 @@ def light_moves(experiment: Experiment, scene: Scene) -> bool:
 
 def follows_eye(run: TechniqueRun) -> bool:
     """Whether a label's maps depend on where the eye is."""
-    return hasattr(compose(run.projection), "near")
+    return fits()[read_projection(run.projection or {}).fit].follows_eye
 
 
 def camera_rests(experiment: Experiment, scene: Scene) -> bool:
@@ -151,7 +149,7 @@ def _eye(experiment: Experiment, scene: Scene, frame: int) -> HostView:
     return eye_view(scene.camera(frame), experiment.image.width, experiment.image.height, np.zeros(3))
 
 
-def _of_views(experiment: Experiment, scene: Scene, run: TechniqueRun) -> dict[Reasoned, str]:
+def _of_views(experiment: Experiment, scene: Scene, run: TechniqueRun) -> dict[Omission, str]:
     """What the light's views say of a label's maps, and on how many frames: from boxes, from the light's centre."""
     receivers, casters = _boxes(experiment, scene)
     if receivers.empty or casters.empty:
@@ -159,7 +157,7 @@ def _of_views(experiment: Experiment, scene: Scene, run: TechniqueRun) -> dict[R
     views: Any = compose(run.projection) if run.projection else None
     changes = follows_eye(run) or light_moves(experiment, scene)
     frames = _looked_at(experiment) if changes else experiment.frames[:1]
-    counts: dict[Reasoned, int] = {}
+    counts: Counter[Omission] = Counter()
     for frame in frames:
         light_ws = scene.light(experiment.light, frame).centre
         if views is None:
@@ -169,11 +167,9 @@ def _of_views(experiment: Experiment, scene: Scene, run: TechniqueRun) -> dict[R
         told: list[Omission] = [BesideViews.BLOCKS] if len(made) > 1 else []
         if not may_see(made, casters):
             told = [EmptyMaps.UNDRAWN, EmptyMaps.UNCOMPARED]
-        for omission in told:
-            counts[omission.pair] = counts.get(omission.pair, 0) + 1
-    if not changes:
-        return dict.fromkeys(counts, "on all frames")
-    return {omission: f"on {n} of {len(frames)} frames looked at" for omission, n in counts.items()}
+        counts.update(told)
+    often = {omission: f"on {n} of {len(frames)} frames looked at" for omission, n in counts.items()}
+    return often if changes else dict.fromkeys(counts, "on all frames")
 
 
 def _fallback_lines(experiment: Experiment, scene: Scene) -> list[str]:
@@ -183,13 +179,12 @@ def _fallback_lines(experiment: Experiment, scene: Scene) -> list[str]:
     lines: list[str] = []
     for run in experiment.runs:
         views: Any = compose(run.projection) if follows_eye(run) and not receivers.empty else None
-        counts: dict[Reasoned, int] = {}
+        counts: Counter[Omission] = Counter()
         for frame in frames if views is not None else ():
             views(scene.light(experiment.light, frame).centre, receivers, casters, 64, _eye(experiment, scene, frame))
-            for told in set(views.left_out):
-                counts[told] = counts.get(told, 0) + 1
+            counts.update(dict.fromkeys(views.left_out, 1))
         lines += [
             f"{run.label}: {what} on {count} of {len(frames)} frame{'' if len(frames) == 1 else 's'} looked at: {why}"
-            for (what, why), count in counts.items()
+            for (what, why), count in ((omission.pair, count) for omission, count in counts.items())
         ]
     return lines

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from projection_cases import ALL, EYES, LIGHTS, SCENE, TEXELS, WARPS, bounds, eye_at, project, towards
 
-from algorithms.projections.composition import compose
+from algorithms.projections.composition import Fallback, compose
 from wkernels.projections.light_views import perspective_aliasing
 from wkernels.scene.views import ProjectiveView
 
@@ -81,10 +81,10 @@ def test_new_keys_take_what_is_degenerate(keys: str) -> None:
     settings = {"fit": "focused", "warp": "lispsm_nopt", **NEW_KEYS[keys]}
     amid = compose(settings)
     views = amid(np.array([0.0, 3.0, -10.0, 1.0]), SCENE, SCENE, 64, EYES["inside"])
-    assert len(views) == 6 and [what for what, _ in amid.left_out] == ["focused light views"]  # type: ignore[attr-defined]
+    assert len(views) == 6 and amid.left_out == [Fallback.TOO_WIDE]  # type: ignore[attr-defined]
     away = compose(settings)
     assert len(away(LIGHTS["overhead"], SCENE, SCENE, 64, eye_at((0, 2, -80), (0, 0, -1)))) == 1
-    assert "sees nothing" in away.left_out[0][1]  # type: ignore[attr-defined]
+    assert away.left_out == [Fallback.NOTHING_SEEN]  # type: ignore[attr-defined]
     flat = bounds((-5.0, -5.0, 7.0), (5.0, 5.0, 7.0))
     for eye, box in [(eye_at((0, 0, 0)), flat), *((eye, SCENE) for eye in EYES.values())]:
         for light in LIGHTS.values():
@@ -97,13 +97,13 @@ def test_new_keys_take_what_is_degenerate(keys: str) -> None:
 def test_what_cannot_be_done_is_told() -> None:
     duel = compose({"fit": "focused", "warp": "lispsm_nopt", "splits": 2})
     duel(towards(0.5), ALL, ALL, TEXELS, eye_at((0, 0, 0)))
-    assert [what for what, _ in duel.left_out] == ["warp", "warp"]  # type: ignore[attr-defined]
+    assert duel.left_out == [Fallback.DUELLING] * 2  # type: ignore[attr-defined]
     duel(towards(1.5), ALL, ALL, TEXELS, eye_at((0, 0, 0)))
     assert duel.left_out == [], "of the last call alone"  # type: ignore[attr-defined]
     flat = bounds((-5.0, -5.0, 7.0), (5.0, 5.0, 7.0))
     split = compose({"fit": "focused", "splits": 4})
     split(LIGHTS["slanted"], flat, flat, 64, eye_at((0, 0, 0)))
-    assert [what for what, _ in split.left_out] == ["splits of the view's depth"]  # type: ignore[attr-defined]
+    assert split.left_out == [Fallback.NO_DEPTH]  # type: ignore[attr-defined]
 
 
 def test_without_adjustment_splits_lie_in_empty_space() -> None:

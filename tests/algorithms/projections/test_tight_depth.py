@@ -13,7 +13,7 @@ from projection_cases import LIGHTS, SUN, WARPS, bounds, posts
 from algorithms.plugins import load_all
 from algorithms.projections.composition import compose
 from wkernels.frame.session import Session
-from wkernels.light_maps import drawing as light_map_drawing
+from wkernels.light_maps.map_look import views_stamp
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.lights import PointLight
 from wkernels.scene.model import Camera, Scene
@@ -80,7 +80,7 @@ def test_a_clamp_is_part_of_what_a_map_depends_on() -> None:
     box = bounds((-1.0, 0.0, -72.0), (1.0, 2.0, -68.0))
     (view,) = compose({"fit": "focused"})(LIGHTS["slanted"], box, box, 64, EYE_VIEW)
     assert isinstance(view, ProjectiveView)
-    stamps = [light_map_drawing.views_stamp([replace(view, clamped_before=c)]) for c in (0.0, 1.0)]
+    stamps = [views_stamp([replace(view, clamped_before=c)]) for c in (0.0, 1.0)]
     assert stamps[0] != stamps[1]
 
 

@@ -39,13 +39,13 @@ from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
 from wkernels.light_maps.receivers import receiver_of_pixel
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.temporal.shadow_buffer.start import UNROTATED
-from wkernels.workspace.left_out import Omission
+from wkernels.workspace.left_out import Because, Omission
 
 
 class MoverMap(Omission):
     """What a scene without movers saves."""
 
-    NO_MOVERS = "map of moving casters", "no caster moves"
+    NO_MOVERS = "map of moving casters", Because.NO_CASTER_MOVES
 
 
 OVERLAPS = {"product": 0, "max": 1}

@@ -22,13 +22,13 @@ from wkernels.temporal.shadow_buffer.record import TEXEL_TYPES
 from wkernels.temporal.shadow_buffer.rules import SampledLight, UpdateRules
 from wkernels.temporal.shadow_buffer.stillness import count_still_frames
 from wkernels.temporal.shadow_buffer.update_lanes import UPDATE
-from wkernels.workspace.left_out import Omission
+from wkernels.workspace.left_out import Because, Omission
 
 
 class StepSkip(Omission):
     """What a step saves."""
 
-    UNTAGGED = "tags of moving casters", "no caster moves"
+    UNTAGGED = "tags of moving casters", Because.NO_CASTER_MOVES
     UNSMOOTHED = "neighbourhoods of pixels", "their error or penumbra is small enough"
     SETTLED = "light sample", "nothing moves and no standard error exceeds stop_error"
 

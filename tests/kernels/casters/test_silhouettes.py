@@ -7,19 +7,15 @@ from collections import Counter, defaultdict
 import numpy as np
 import pytest
 import small_scenes
-import warp as wp
-from caster_meshes import all_meshes, fan, soup, whole
+from caster_meshes import all_meshes, facing, fan, silhouettes, soup, whole
 
-from wkernels.casters.edges import Adjacency, find_edges
+from wkernels.casters.edges import find_edges
 from wkernels.casters.pulls import pull_loops, pull_silhouettes
 from wkernels.casters.silhouettes import (
     Loops,
     Silhouettes,
     counted_faces,
-    counted_turns,
-    facing_of,
     find_loops,
-    find_silhouettes,
     potential_edges,
 )
 from wkernels.scene.geometry import Geometry
@@ -28,20 +24,6 @@ from wkernels.workspace.workspace import Workspace
 MESHES = all_meshes()
 LIGHTS = [(0.3, 5.0, 0.7, 1.0), (-1.3, 0.2, 0.4, 1.0), (0.2, 0.9, -0.4, 0.0)]
 WAYS = ("lit", "unlit", "both")
-
-
-def facing(vertices: np.ndarray, faces: np.ndarray, light: tuple[float, ...], device: str = "cpu") -> np.ndarray:
-    points = wp.array(vertices.astype(np.float32), dtype=wp.vec3, device=device)
-    indices = wp.array(faces.astype(np.int32).ravel(), dtype=int, device=device)
-    return facing_of(Workspace(device, 2), points, indices, np.array(light))
-
-
-def silhouettes(
-    vertices: np.ndarray, faces: np.ndarray, light: tuple[float, ...], closed: str = "lit"
-) -> tuple[Adjacency, Silhouettes]:
-    adjacency = find_edges(vertices.astype(np.float32), faces)
-    turns = counted_turns(adjacency, facing(vertices, faces, light), closed)  # type: ignore[arg-type]
-    return adjacency, find_silhouettes(adjacency, turns)
 
 
 @pytest.mark.parametrize("w", [0, 1])

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import small_scenes
 import warp as wp
-from drawing import draw, flat_view, from_pixels, grid, twin_coverage
-from test_raster_lanes import triangle_soup, view_of
+from drawing import draw, flat_view, from_pixels, grid, triangle_soup, twin_coverage, view_of
 
 from wkernels.errors import InputError
 from wkernels.raster import COUNT_ALL, COUNT_FARTHER, COUNT_NEARER, Rasteriser

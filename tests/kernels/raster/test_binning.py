@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 import small_scenes
 import warp as wp
-from drawing import draw
+from drawing import draw, view_of
 from scipy.spatial import ConvexHull, QhullError
-from test_raster_lanes import view_of
 
 from wkernels.device.lanes import LANES, Ints, runs_per_row
 from wkernels.device.launch import launch

@@ -5,25 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from drawing import draw
+from drawing import draw, triangle_soup, view_of
 
 from wkernels.raster import CULL_BACK, CULL_FRONT, CULL_NONE, Rasteriser
 from wkernels.raster.lanes import depth_key
 from wkernels.scene.views import HostView, View
-
-FORWARD, RIGHT, UP = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
-
-
-def view_of(perspective: bool, width: int, height: int, near: float = 0.5, far: float = 60.0) -> HostView:
-    half = 1.0 if perspective else 12.0
-    tall = half * height / width
-    return HostView(np.zeros(3), RIGHT, UP, FORWARD, (-half, half, -tall, tall), near, far, width, height, perspective)
-
-
-def triangle_soup(rng: np.random.Generator, count: int, size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles of about ``size`` all around the eye, many across the near plane or far outside of the view."""
-    middle = rng.uniform((-20, -20, -70), (20, 20, 5), (count, 1, 3))
-    return (middle + rng.normal(0.0, size, (count, 3, 3))).reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)
 
 
 def both(

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import small_scenes as small
 import warp as wp
-from drawing import SUB, draw, flat_view, from_pixels, pixel_rays
+from drawing import SUB, draw, flat_view, from_pixels, pixel_rays, triangle_soup, view_of
 from map_cases import INSIDE, MAPS, SUN, session
-from test_raster_lanes import triangle_soup, view_of
 
 from algorithms.projections.composition import compose
 from wkernels.device.launch import launch

@@ -1,11 +1,12 @@
-"""Windows of a run of receivers judged by a map's pyramid: ``pyramid.judge_window``, 16 at a time."""
+"""Windows of a run of receivers judged by a map's pyramid: ``window_proofs.judge_window``, 16 at a time."""
 
 from __future__ import annotations
 
 import warp as wp
 
 from wkernels.device.lanes import LANES, Floats, Ints, flat_floats
-from wkernels.filters.pyramid import ALL_DARK, ALL_LIT, PLANE_ROUNDING, UNDECIDED, DepthPyramid
+from wkernels.filters.pyramid import DepthPyramid
+from wkernels.filters.window_proofs import ALL_DARK, ALL_LIT, PLANE_ROUNDING, UNDECIDED
 from wkernels.light_maps.light_map import LightMap
 from wkernels.light_maps.receiver_lanes import LaneViews, ReceiverRun
 

@@ -13,17 +13,9 @@ from wkernels.device.lanes import LANES, runs_per_row
 from wkernels.device.launch import launch
 from wkernels.filters.levels import sides_of
 from wkernels.filters.penumbra import depth_at, tap_depth, tap_position
-from wkernels.filters.pyramid import (
-    ALL_DARK,
-    ALL_LIT,
-    UNDECIDED,
-    DepthPyramid,
-    find_pyramid,
-    judge_window,
-    pull_pyramid,
-    window_range,
-)
-from wkernels.filters.pyramid_lanes import LanePyramid, WindowRun, judge_windows_run, lane_pyramid
+from wkernels.filters.pyramid import DepthPyramid, find_pyramid, pull_pyramid, window_range
+from wkernels.filters.window_proofs import ALL_DARK, ALL_LIT, UNDECIDED, judge_window
+from wkernels.filters.window_proofs_lanes import LanePyramid, WindowRun, judge_windows_run, lane_pyramid
 from wkernels.light_maps.light_map import (
     BIAS_CONSTANT,
     BIAS_NONE,

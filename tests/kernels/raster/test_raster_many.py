@@ -9,44 +9,21 @@ import numpy as np
 import pytest
 import small_scenes
 import warp as wp
-from drawing import assert_depth_equals_rays, draw, flat_view, from_pixels
-from test_raster_lanes import triangle_soup, view_of
+from drawing import (
+    assert_depth_equals_rays,
+    cube_faces,
+    draw,
+    flat_view,
+    from_pixels,
+    on_device,
+    sun_samples,
+    triangle_soup,
+    view_of,
+)
 
 import wkernels.raster as raster
-from wkernels.projections.light_views import scene_views
 from wkernels.raster import CULL_BACK, CULL_FRONT, CULL_NONE, Rasteriser
-from wkernels.scene.geometry import Bounds
-from wkernels.scene.views import HostView, eye_view
-
-
-def on_device(points: np.ndarray, faces: np.ndarray, device: str) -> tuple[wp.array, wp.array]:
-    return (
-        wp.array(points.astype(np.float32), dtype=wp.vec3, device=device),
-        wp.array(faces.astype(np.int32).ravel(), dtype=int, device=device),
-    )
-
-
-def scene_box() -> Bounds:
-    out = Bounds()
-    out.add(np.array([(-4.0, -4.0, -4.0), (4.0, 4.0, 4.0)]))
-    return out
-
-
-def cube_faces(resolution: int) -> list[HostView]:
-    """Six faces from a point inside of the scene."""
-    box = scene_box()
-    views = scene_views(np.array([0.3, 0.2, 0.1, 1.0]), box, box, resolution)
-    assert len(views) == 6
-    return views
-
-
-def sun_samples(count: int, resolution: int) -> list[HostView]:
-    """One orthographic view per sample of a wide sun."""
-    rng = np.random.default_rng(count)
-    box = scene_box()
-    towards = np.array([0.2, 1.0, 0.3]) + rng.uniform(-0.2, 0.2, (count, 3))
-    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    return [scene_views(np.append(way, 0.0), box, box, resolution)[0] for way in towards]
+from wkernels.scene.views import eye_view
 
 
 @pytest.mark.parametrize("cull", [CULL_NONE, CULL_BACK, CULL_FRONT])

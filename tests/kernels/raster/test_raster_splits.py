@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import small_scenes as small
 import warp as wp
-from test_raster_many import cube_faces, on_device, sun_samples
+from drawing import cube_faces, on_device, sun_samples
 
 import wkernels.raster as raster
 from algorithms.projections.composition import compose
@@ -18,7 +18,7 @@ from wkernels.light_maps.storage import DRAWINGS
 from wkernels.projections.focusing import fitted_view, light_space
 from wkernels.raster import CULL_BACK, CULL_NONE, Rasteriser, TriangleBlocks
 from wkernels.raster.blocks import MAX_VIEWS
-from wkernels.raster.lane_culling import LANES
+from wkernels.raster.lane_culling import MESH_LANES
 from wkernels.raster.lane_lists import CLIP_RUNS
 from wkernels.raster.plain_splits import draw_splits_plainly
 from wkernels.raster.scratch import Scratch
@@ -103,7 +103,7 @@ def test_any_way_of_drawing_makes_the_same_bits(
 def test_more_clipped_triangles_than_there_is_room_for(device: str) -> None:
     """Many large triangles in a narrow view: all of them leave its guard band."""
     rng = np.random.default_rng(1)
-    count = int(CLIP_RUNS) * int(LANES) // 8 + 300
+    count = int(CLIP_RUNS) * int(MESH_LANES) // 8 + 300
     points = rng.uniform(-1.0, 1.0, (3 * count, 3)) * (4000.0, 3.0, 4000.0)
     points_ws, indices = on_device(points, np.arange(3 * count), device)
     views = [view.to_device() for view in narrow_views("sun", False, side=200)]
@@ -129,7 +129,7 @@ def test_masks_agree_with_numpy(views: str, ranges: bool, device: str) -> None:
     points_ws, indices = on_device(points, faces, device)
     blocks = TriangleBlocks(points_ws, indices, device, threads=2)
     seen = blocks.seen_by([view.to_device() for view in VIEWS[views]], ranges=ranges)
-    lanes, count = int(LANES), len(VIEWS[views])
+    lanes, count = int(MESH_LANES), len(VIEWS[views])
     expected = np.zeros((blocks.blocks, count), dtype=bool)
     for i, view in enumerate(VIEWS[views]):
         rows = view.ws_to_ss
@@ -205,7 +205,7 @@ def test_blocks_follow_what_moves_and_keep_what_is_not_finite(device: str) -> No
     view = [narrow_views("sun", False)[0].to_device()]
     blocks = TriangleBlocks(points_ws, indices, device)
     before = blocks.seen_by(view).block.numpy().copy()
-    lanes = int(LANES)
+    lanes = int(MESH_LANES)
     hidden = int(np.flatnonzero(before == 0)[0])
     moved = points.copy()
     moved[faces[hidden * lanes]] = 0.0

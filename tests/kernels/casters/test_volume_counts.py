@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 import small_scenes
 import warp as wp
-from caster_meshes import apart, fan, torus
-from drawing import draw
-from test_raster_lanes import view_of
-from test_silhouettes import silhouettes
+from caster_meshes import apart, fan, silhouettes, torus
+from drawing import draw, view_of
 
 from wkernels.casters.extrusion import Volumes, sweep_volumes
 from wkernels.casters.pulls import pull_silhouettes, pull_volumes

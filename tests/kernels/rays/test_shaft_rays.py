@@ -8,7 +8,7 @@ import small_scenes
 import warp as wp
 
 from wkernels.frame.session import Session
-from wkernels.rays.shaft_rays import BATCH, LANES, sample_batches, trace_shafts
+from wkernels.rays.shaft_rays import BATCH, GROUP_LANES, sample_batches, trace_shafts
 from wkernels.rays.single_rays import PROVEN_LIT, trace_light
 from wkernels.scene.geometry import RECEIVES, Geometry
 from wkernels.scene.model import Scene
@@ -52,7 +52,7 @@ def test_it_counts_the_samples_that_rays_count(kind: str, where: tuple[float, fl
         assert (shafts[proof == PROVEN_LIT] == 96).all()
 
 
-@pytest.mark.parametrize("samples", [1, 2, int(LANES), int(LANES) + 1, BATCH - 1, BATCH, BATCH + 1, 1000])
+@pytest.mark.parametrize("samples", [1, 2, int(GROUP_LANES), int(GROUP_LANES) + 1, BATCH - 1, BATCH, BATCH + 1, 1000])
 def test_any_number_of_samples(samples: int) -> None:
     scene = small_scenes.cluttered(small_scenes.light("rectangle", (3.0, 8.0, -2.0), 2.0))
     shafts, rays, _ = both(scene, samples)
@@ -104,7 +104,7 @@ def test_groups_of_samples_are_compact() -> None:
     rng = np.random.default_rng(1)
     samples = np.concatenate([rng.uniform(-1.0, 1.0, (512, 2)), np.zeros((512, 1)), np.ones((512, 1))], axis=1)
     out = sample_batches(samples, np.ones(512))
-    assert out.groups == 512 // int(LANES)
+    assert out.groups == 512 // int(GROUP_LANES)
     area = np.prod((out.high.numpy() - out.low.numpy())[:, :2], axis=1)
     assert area.mean() < 4.0 / out.groups * 1.3
     held = np.stack([a.numpy().ravel() for a in (out.x, out.y)], axis=1)

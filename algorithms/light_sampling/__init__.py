@@ -1,0 +1,4 @@
+"""Techniques that render many points of the light and take their mean, a file each.
+
+Begin with ``multi_shadow_map``.
+"""
