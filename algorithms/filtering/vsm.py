@@ -9,14 +9,14 @@ receiver's, give the exact share. ``width: fixed`` filters with a Gaussian; soft
 the mean moments over it from a summed-area table (Lauritzen 2007). ``bleeding`` cuts off the tail of the bound: (p -
 a) / (1 - a), at least 0.
 
-Deviations: depths are normalised to [-1/2, 1/2] over the scene's range, or float32 would lose M2 - M1^2, and tables
-are float64. Texels without a caster hold the range's far end. The slope term M2 += (zx^2 + zy^2)/4
-(``slope_variance``) takes the smaller one-sided difference of the map on each axis, which is the caster's own slope
-and not the step at its silhouette.
+Deviations: depths are normalised to [-1/2, 1/2] over the range of each layer of the map, or float32 would lose M2 -
+M1^2 and a split of 10 m would have the ``min_variance`` of a scene of 3 km; tables are float64. Texels without a caster
+hold the range's far end. The slope term M2 += (zx^2 + zy^2)/4 (``slope_variance``) takes the smaller one-sided
+difference of the map on each axis, which is the caster's own slope and not the step at its silhouette.
 Known artefacts: light bleeding where casters overlap: two hiding depths a < b in equal parts leave 1 / (1 + (1 + 2 (c
 - b)/(b - a))^2) of the light at depth c; lit contacts, where caster and receiver are closer than
-sqrt(``min_variance``) of the range; the box of ``pcss`` turns with the map, not with the light; filters end at the
-map's border, and at that of a face of an omnidirectional map.
+sqrt(``min_variance``) of the layer's range; the box of ``pcss`` turns with the map, not with the light; filters end at
+the map's border, and at that of a face of an omnidirectional map.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def look_up_penumbra(
             low = at - half
             high = at + half
             mean = box_mean(tables[receiver.layer], low[0], low[1], high[0], high[1])
-            visible = lit_share(chebyshev, mean, normalised(chebyshev, receiver.depth))
+            visible = lit_share(chebyshev, mean, normalised(chebyshev.ranges[receiver.layer], receiver.depth))
     visibility_out[y, x] = visible
 
 
@@ -113,8 +113,9 @@ class Vsm(MapTechnique):
         )
         min_variance: float = setting(
             1e-5,
-            "least variance, of depth over the scene's depth range",
-            unit="1",
+            "least variance of depth, which is 0 to 1 over what a layer of the map can hold: the meshes' boxes in its "
+            "window",
+            unit="layer depth range^2",
             source="Lauritzen 2007",
             gt=0.0,
             le=1.0,

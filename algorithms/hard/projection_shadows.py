@@ -25,7 +25,8 @@ import numpy as np
 import warp as wp
 
 from algorithms.technique import Frame, Limit, Needs, Params, Technique, setting
-from wkernels.casters.flattening import Flattener, ReceiverPlane, receiver_planes, turned_to_light
+from wkernels.casters.flattening import Flattener
+from wkernels.casters.receiver_planes import ReceiverPlane, extent_of, receiver_planes, turned_to_light
 from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
 from wkernels.sampling.estimators import standard_error
 from wkernels.scene.geometry import RECEIVES
@@ -178,8 +179,9 @@ class ProjectionShadows(Technique):
         hidden_out: wp.array,
     ) -> None:
         geometry = frame.geometry
-        box = geometry.bounds(casters=True, receivers=True)
-        extent = 0.0 if box.empty else float(np.abs([box.low, box.high]).max())
+        extent = extent_of(geometry)
+        ways = geometry.bounds(receivers=True, noticed=True).corners - light_ws[:3]
+        reach = float(np.linalg.norm(ways, axis=1).max(initial=0.0))
         plane_of_mesh = np.full(max(len(geometry.meshes), 1), -1, np.int32)
         for number, plane in planes:
             plane_of_mesh[plane.meshes] = number
@@ -193,7 +195,7 @@ class ProjectionShadows(Technique):
             if turned is None:
                 continue
             with frame.timed("flattened casters"):
-                flattener.draw(geometry, turned, light_ws, extent, gbuffer.view, shadow)
+                flattener.draw(geometry, turned, light_ws, extent, reach, gbuffer.view, shadow)
             with frame.timed("stencil"):
                 inputs = [gbuffer, numbers, number, shadow, wp.vec4(*light_ws), weight]
                 frame.launch(add_flattened, hidden_out.shape, inputs, [hidden_out])

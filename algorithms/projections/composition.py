@@ -16,11 +16,21 @@ from wkernels.errors import InputError
 from wkernels.frame.light_side import LightViews
 from wkernels.light_maps.storage import PLACES, MapOptions
 from wkernels.projections.clipping import ConvexBody, clip_polyhedron
-from wkernels.projections.focusing import LightSpace, depth_range, fitted_view, light_space, projective_view, warp_shape
+from wkernels.projections.focusing import (
+    LightSpace,
+    depth_from,
+    depth_range,
+    fitted_view,
+    light_body,
+    light_space,
+    projective_view,
+    warp_shape,
+)
 from wkernels.projections.light_views import scene_views
 from wkernels.projections.side_pieces import side_pieces
 from wkernels.projections.splits import pseudo_planes, shares_of_split, split_borders
 from wkernels.scene.geometry import Bounds
+from wkernels.scene.origin import PRECISION
 from wkernels.scene.views import HostView, LayerChoice, ProjectiveView
 from wkernels.workspace.left_out import Omission
 
@@ -170,15 +180,16 @@ class Composition:
                 self.left_out.append(Fallback.TOO_WIDE)
                 return scene_views(light_ws, receivers, casters, resolution)
             clamp = self._clamp(space, whole, scene)
-            views += [
-                replace(view, clamped_before=clamp) for view in self._parts(space, body, ahead, resolution, not faces)
-            ]
+            goes_on = not space.perspective and space.far > 2.0 * PRECISION * eye.near
+            for part, view in self._parts(space, body, ahead, resolution, not faces):
+                clamped = replace(view, clamped_before=clamp)
+                views.append(depth_from(clamped, light_body(part, scene, light_ws)) if goes_on else clamped)
         return views or scene_views(light_ws, receivers, casters, resolution)
 
     def _parts(
         self, space: LightSpace, whole: ConvexBody, eye: HostView, resolution: int, by_depth: bool
-    ) -> list[ProjectiveView]:
-        """The views of a body's splits; without a choice of layers where the body is one of several pieces."""
+    ) -> list[tuple[ConvexBody, ProjectiveView]]:
+        """A body's splits and their views; without a choice of layers where the body is one of several pieces."""
         views = []
         adjusts = self.settings.adjust and (self.stabiliser is None or self.stabiliser.adjusts)
         near, far = depth_range(whole.vertices, eye) if adjusts else (eye.near, eye.far)
@@ -197,7 +208,7 @@ class Composition:
             part = replace(eye, near=float(begin), far=float(end))
             planes = pseudo_planes(near, far, self.settings.pseudo_near, self.settings.pseudo_far)
             shares = shares_of_split(borders, i, planes)
-            views.append(self._view(space, body.vertices, part, resolution, choice, shares))
+            views.append((body, self._view(space, body.vertices, part, resolution, choice, shares)))
         return views
 
     def _clamp(self, space: LightSpace, seen: ConvexBody, scene: Bounds) -> float:

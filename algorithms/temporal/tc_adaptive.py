@@ -52,10 +52,12 @@ from algorithms.projections.composition import Composition
 from algorithms.technique import Frame, Limit, MapParams, Needs, Technique, setting
 from wkernels.device.structs import filled
 from wkernels.raster.gbuffer import GBuffer
+from wkernels.temporal.forgetting import forget_changes
 from wkernels.temporal.map_pool.kept_maps import KeptMaps, Schedule
-from wkernels.temporal.map_pool.mover_maps import MoverMaps, mover_reach
+from wkernels.temporal.map_pool.mover_maps import MoverMaps
 from wkernels.temporal.map_pool.update import PoolSteps
 from wkernels.temporal.map_pool.update_lanes import ADD_MOVERS, UPDATE_SUMS
+from wkernels.temporal.reach import mover_reach
 from wkernels.workspace.left_out import Because, Omission
 from wkernels.workspace.products import Product
 
@@ -157,6 +159,9 @@ class TcAdaptive(Technique):
         )
         history = frame.history("carried", lambda: wp.zeros(shape, dtype=wp.vec4, device=frame.device))
 
+        kept.follow(frame)
+        forget_changes(frame, history, [frame.light], depth_unit=1.0)
+
         # 1: maps
         seen = frame.geometry.version, bytes(np.array(gbuffer.view.ws_to_ss, dtype=np.float32))
         wanted = frame, seen, p.draws, p.tests, isinstance(frame.projection, Composition)
@@ -184,27 +189,37 @@ class TcAdaptive(Technique):
         self, frame: Frame, gbuffer: GBuffer, kept: KeptMaps, filled: int, visibility: wp.array, error: wp.array
     ) -> None:
         p = self.params
-        box = frame.geometry.bounds(casters=True, moving=True)
+        box = frame.casters_towards(frame.light.centre, moving=True)
         if box.empty:
             return
         maps = min(p.mover_maps, filled)
         points = kept.points[:maps]
 
         def draw(old: MoverMaps | None) -> MoverMaps:
-            made = old or MoverMaps(frame, p.mover_maps, p.mover_resolution)
+            made = old if old and old.resting == frame.geometry.resting else None
+            made = made or MoverMaps(frame, p.mover_maps, p.mover_resolution)
             made.draw(points, box, p.cull)
             return made
 
         shown = frame.geometry.version, points.tobytes()
         movers = frame.product("mover maps", "mover maps", shown, draw).pool
         with frame.timed("mover tests"):
-            inputs = [gbuffer, kept.pool, movers, maps, p.device_bias, mover_reach(frame.light, box), p.even]
+            inputs = [
+                gbuffer,
+                kept.pool,
+                movers,
+                maps,
+                p.device_bias,
+                mover_reach(frame.light, box.low, box.high),
+                p.even,
+            ]
             frame.launch(ADD_MOVERS, visibility.shape, inputs, [visibility, error])
 
     def _steps(self, frame: Frame, kept: KeptMaps, plan: Schedule, has_history: bool) -> PoolSteps:
         p = self.params
         still = kept.still_frames(frame) > 0
-        tests, limit = p.tests, float(plan.filled)
+        # sums of other casters' maps are as good where those that came to rest, or left it, cast nothing
+        tests, limit = p.tests, float(kept.maps if kept.restarted else plan.filled)
         if plan.fills and (plan.added or still):  # every map counts once, and the time is needed to draw it
             tests = plan.added
         if plan.refines:
@@ -220,5 +235,5 @@ class TcAdaptive(Technique):
             even=p.even,
             clip=0.0 if still else p.clip,  # where the eye stands still nothing drifts
             has_history=int(has_history),
-            depth_epsilon=p.depth_epsilon * frame.reach,
+            depth_epsilon=p.depth_epsilon * frame.span,
         )

@@ -26,9 +26,9 @@ Deviations; the original was not at hand, the formulas are our reading of those 
 
 Known artefacts: noise where little is known (disocclusion, screen border, shadows of moving casters, which alias like
 shadow_map's); edges are smoothed over a fraction of a texel, and over ``blur`` pixels while the eye moves, where
-details smaller than that fade; a bias displaces shadows as in shadow_map; shadows of a light that moves trail, and all
-lag on surfaces that rise by less than epsilon a frame, as points are followed by the camera's motion alone. Soft lights
-are reduced to their centre.
+details smaller than that fade; a bias displaces shadows as in shadow_map; all lag on surfaces that rise by less than
+epsilon a frame, as points are followed by the camera's motion alone. Soft lights are reduced to their centre. Lights
+that move are refused: their shadows would trail by the frames that are remembered.
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ from wkernels.projections.jitter import frame_jitter
 from wkernels.temporal.confidence.blending import Blending
 from wkernels.temporal.confidence.history import ConfidentSettings
 from wkernels.temporal.confidence.history_lanes import ADD_CONFIDENT_TEST
+from wkernels.temporal.forgetting import forget_changes
 from wkernels.temporal.shadow_buffer.record import BILINEAR, NEAREST
 from wkernels.workspace.left_out import Because, Omission
 from wkernels.workspace.products import Product
@@ -62,7 +63,7 @@ class TcHard(Technique):
     family = "temporal"
     paper = ("scherzer2007", "schwaerzler2009", "stingl2011")
     products = (Product.G_BUFFER, Product.LIGHT_MAP, Product.HISTORY)
-    needs = Needs(history=True)
+    needs = Needs(history=True, still_light=True)
     hard = True
     bias_sign = "none"
     may_leave_out = (Skip.UNTAGGED,)
@@ -168,6 +169,7 @@ class TcHard(Technique):
         history = frame.history(
             "hard shadows", lambda: wp.zeros(shape, dtype=wp.vec4, device=frame.device), frame.margin(p.overscan)
         )
+        forget_changes(frame, history, [frame.light])
         tags = p.movers == "reset"
         if tags and not frame.geometry.casters_move:
             tags = not frame.leave_out(Skip.UNTAGGED)

@@ -169,9 +169,7 @@ class TcSoftPaper(ShadowBufferTechnique):
 
         # 3. The test of the light's next point (equation 1) is added to what the point knows (2, 5), where the depth
         #    that was stored with that is its own (4).
-        self.add_samples(
-            frame, step, start=start, mean=mean, smoothing=smoothing, epsilon=p.depth_epsilon * frame.reach
-        )
+        self.add_samples(frame, step, start=start, mean=mean, smoothing=smoothing, epsilon=p.depth_epsilon * frame.span)
 
         # 4. Shown is psi, smoothed where it was asked for (section 3.3).
         if p.filter:

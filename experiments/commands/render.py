@@ -12,6 +12,8 @@ from algorithms.plugins import load_all
 from experiments.api import render_visibility
 from experiments.config.source import parse_yaml
 from experiments.results.images import visibility_view, write_exr, write_png
+from experiments.scenes import load_scene
+from experiments.scenes.sight import why_nothing_is_seen
 from wkernels.errors import InputError
 
 _SUFFIXES = (".exr", ".png")
@@ -38,8 +40,9 @@ def render_image(
         raise InputError(f"--out {out}: the name must end in {' or '.join(_SUFFIXES)}.")
     if not out.resolve().parent.is_dir():
         raise InputError(f"--out {out}: there is no folder {out.resolve().parent}.")
+    loaded = load_scene(scene)
     visibility = render_visibility(
-        scene,
+        loaded,
         technique,
         parse_params(param_texts),
         frame=frame,
@@ -54,7 +57,8 @@ def render_image(
     ).visibility
     _write(out, visibility)
     seen = np.isfinite(visibility)
-    lit = f"mean visibility {visibility[seen].mean():.4f}" if seen.any() else "no receiver is seen"
+    lit = f"mean visibility {visibility[seen].mean():.4f}" if seen.any() else ""
+    lit = lit or f"no receiver is seen: {why_nothing_is_seen(loaded, frame, width, height)}"
     print(f"{out}: {technique}, {width} x {height}, frame {frame}; {lit}")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +15,10 @@ from experiments.config.source import load_yaml, validate
 from experiments.scenes.place import Place
 from experiments.scenes.poses import check_order
 from experiments.scenes.schema import CameraKeyframe, CameraOptions, Orbit, PathOptions
+from experiments.scenes.sight import depth_planes
 from wkernels.errors import InputError
-from wkernels.scene.model import Camera
+from wkernels.scene.model import Camera, Mesh
+from wkernels.scene.origin import looked_at
 
 _COLUMNS = ("frame", "eye_x", "eye_y", "eye_z", "target_x", "target_y", "target_z")
 
@@ -28,11 +30,14 @@ class CameraPath:
     Attributes:
         eye_target: Maps frame numbers (n,) to eyes and targets, float64 (n, 6); holds its ends.
         options: What does not change along the path.
+        near, far: Depth planes, scene units.
         ups: Maps frame numbers (n,) to vertical axes, float64 (n, 3), of a camera that rolls; None: ``options`` has it.
     """
 
     eye_target: Callable[[np.ndarray], np.ndarray]
     options: CameraOptions
+    near: float
+    far: float
     ups: Callable[[np.ndarray], np.ndarray] | None = None
 
     def __call__(self, frame: int) -> Camera:
@@ -41,11 +46,13 @@ class CameraPath:
         eye_target = self.eye_target(at)[0]
         o = self.options
         up = np.array(o.up) if self.ups is None else self.ups(at)[0]
-        return Camera(eye_target[:3], eye_target[3:], up, o.fov_deg, o.near, o.far, o.height)
+        return Camera(eye_target[:3], eye_target[3:], up, o.fov_deg, self.near, self.far, o.height)
 
 
-def camera_path(camera: CameraOptions, path: PathOptions | None, place: Place) -> tuple[CameraPath, int]:
-    """The camera of a scene whose file is at ``place``, and the number of frames of its path.
+def camera_path(
+    camera: CameraOptions, path: PathOptions | None, meshes: Sequence[Mesh], place: Place
+) -> tuple[CameraPath, int]:
+    """The camera of a scene of ``meshes`` whose file is at ``place``, and the number of frames of its path.
 
     Raises:
         InputError: No eye or target, several or no paths, keyframes out of order, ``far <= near``, an eye on its
@@ -56,20 +63,20 @@ def camera_path(camera: CameraOptions, path: PathOptions | None, place: Place) -
         if camera.eye is None or camera.target is None:
             missing = "eye" if camera.eye is None else "target"
             raise place.at("camera").error(f"{missing} is required where the scene has no path.")
-        out, frames = CameraPath(_still(camera.eye, camera.target), camera), 1
+        eye_target, frames = _still(camera.eye, camera.target), 1
     else:
         eye_target, frames = _path(path, place.at("path"))
-        out = CameraPath(eye_target, camera)
-    eyes_targets = out.eye_target(np.arange(frames, dtype=np.float64))
+    eyes_targets = eye_target(np.arange(frames, dtype=np.float64))
     distance = np.linalg.norm(eyes_targets[:, 3:] - eyes_targets[:, :3], axis=1)
     for frame in np.flatnonzero(~(distance > 0.0))[:1]:
         raise place.at("camera" if path is None else "path").error(f"the eye lies on the target at frame {frame}.")
-    return out, frames
+    near, far = depth_planes(meshes, eye_target(looked_at(frames).astype(np.float64))[:, :3], camera.near, camera.far)
+    return CameraPath(eye_target, camera, near, far), frames
 
 
 def check_lens(camera: CameraOptions, place: Place) -> None:
     """Raises InputError where the keys of the camera at ``place`` do not go together."""
-    if not camera.near < camera.far:
+    if camera.near is not None and camera.far is not None and not camera.near < camera.far:
         raise place.at("far").error(f"must be greater than near ({camera.near}), not {camera.far}.")
     orthographic = camera.projection == "orthographic"
     if orthographic and camera.height is None:

@@ -55,7 +55,7 @@ def scene_from_source(source: Source, loc: tuple[str | int, ...] = (), *, base: 
     for i in range(len(scene_file.meshes)):
         _add_meshes(meshes, place.at("meshes", i), names, files)
     lights = tuple(build_light(place.at("lights", i)) for i in range(len(scene_file.lights)))
-    camera, frames = camera_path(scene_file.camera, scene_file.path, place)
+    camera, frames = camera_path(scene_file.camera, scene_file.path, meshes, place)
     if name is None:
         generated = [m["generate"] for m in scene_file.meshes if "generate" in m]
         name = str(generated[0]) if generated else "scene"
@@ -75,7 +75,7 @@ def _importing_scene(place: Place, name: str | None) -> Scene:
         lights += imported.lights if item == "from_file" else [build_light(place.at("lights", i))]
     if not lights:
         raise place.at("lights").error("there is no light: the file has none, or none that is supported.")
-    camera, frames = imported_camera(scene_file, imported, place)
+    camera, frames = imported_camera(scene_file, imported, meshes, place)
     digest = content_hash(meshes, lights, camera, frames)
     name = name or Path(scene_file.import_file).stem
     return Scene(name, tuple(meshes), tuple(lights), camera, frames, digest, imported.notes)
@@ -170,7 +170,7 @@ def content_hash(meshes: Sequence[Mesh], lights: Sequence[Light], camera: Camera
                 add(*value.description)
     fixed = camera.options
     at = np.arange(frames, dtype=np.float64)
-    add(camera.eye_target(at), fixed.up, [fixed.fov_deg, fixed.near, fixed.far])
+    add(camera.eye_target(at), fixed.up, [fixed.fov_deg, camera.near, camera.far])
     if camera.ups is not None:
         add(camera.ups(at))
     if fixed.height is not None:

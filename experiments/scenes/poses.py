@@ -47,8 +47,17 @@ class StaticPose:
         return self.object_to_ws.copy()
 
 
+HALF_TURN_DEG = 180.0
+"""Between keyframes that are less apart about every axis the shorter way round is the one that they name."""
+
+
 class KeyframedPose:
-    """A motion applied to a mesh that is already placed by its static transform."""
+    """A motion applied to a mesh that is already placed by its static transform.
+
+    Between two keyframes that differ by less than half a turn about every axis it turns the shorter way round;
+    else each angle goes from the one to the other, so that 0 to 360 is one turn and 0 to -270 three quarters of
+    one, backwards.
+    """
 
     def __init__(self, motion: Motion, object_to_parent: np.ndarray) -> None:
         keys = motion.keyframes
@@ -56,27 +65,40 @@ class KeyframedPose:
         self.object_to_parent = object_to_parent
         self._translate = np.array([key.translate for key in keys])
         self._scale = np.array([key.scale for key in keys])
-        self._rotations = Rotation.from_euler("xyz", np.array([key.rotate_deg for key in keys]), degrees=True)
+        self._angles = np.array([key.rotate_deg for key in keys], np.float64)
+        self._rotations = Rotation.from_euler("xyz", self._angles, degrees=True)
         self._slerp = Slerp(self.frames, self._rotations) if len(keys) > 1 else None
+        self._turns = np.abs(np.diff(self._angles, axis=0)).max(axis=1) >= HALF_TURN_DEG  # by interval
 
     def __call__(self, frame: int) -> np.ndarray:
         """Object to world space, float64 (4, 4); the first and last keyframe are held outside their range."""
         at = float(np.clip(frame, self.frames[0], self.frames[-1]))
-        rotation = self._slerp(at) if self._slerp is not None else self._rotations[0]
+        rotation = self._rotation(at)
         translate = [np.interp(at, self.frames, self._translate[:, axis]) for axis in range(3)]
         scale = [np.interp(at, self.frames, self._scale[:, axis]) for axis in range(3)]
         return _compose(np.array(translate), rotation.as_matrix(), np.array(scale)) @ self.object_to_parent
 
+    def _rotation(self, at: float) -> Rotation:
+        if self._slerp is None:
+            return self._rotations[0]
+        interval = min(int(np.searchsorted(self.frames, at, side="right")) - 1, len(self._turns) - 1)
+        if not self._turns[interval]:
+            return self._slerp(at)
+        angles = [np.interp(at, self.frames, self._angles[:, axis]) for axis in range(3)]
+        return Rotation.from_euler("xyz", angles, degrees=True)
+
     @property
     def description(self) -> tuple[np.ndarray, ...]:
         """Arrays that determine the pose at every frame."""
-        return self.frames, self.object_to_parent, self._translate, self._scale, self._rotations.as_matrix()
+        turns = (self._angles,) if self._turns.any() else ()  # matrices do not tell 0 from 360 degrees
+        return self.frames, self.object_to_parent, self._translate, self._scale, self._rotations.as_matrix(), *turns
 
     @property
     def moving(self) -> bool:
-        """Whether any keyframe differs from the first."""
+        """Whether any frame differs from the first."""
         first = self(int(self.frames[0]))
-        return any(not np.array_equal(first, self(int(frame))) for frame in self.frames[1:])
+        ends = any(not np.array_equal(first, self(int(frame))) for frame in self.frames[1:])
+        return ends or bool(self._turns.any())
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,7 +64,8 @@ class Motion(StrictModel):
     """How a mesh or light moves.
 
     Attributes:
-        keyframes: Linear in between, rotations the shorter way round; the ends are held.
+        keyframes: Linear in between; rotations the shorter way round, but angle by angle where one changes by 180
+            degrees or more: 0 to 360 is a whole turn. The ends are held.
     """
 
     keyframes: Annotated[list[MotionKeyframe], Field(min_length=1)]
@@ -242,8 +243,8 @@ class CameraOptions(StrictModel):
         projection: Whether lines of sight meet in the eye, or are parallel.
         fov_deg: Vertical field of view of a perspective camera.
         height: What an orthographic camera sees from top to bottom; it needs it, and no other has it.
-        near: Near plane.
-        far: Far plane.
+        near: Near plane; 0.1, or what the scene needs where it is much larger or smaller.
+        far: Far plane; 1000, likewise.
     """
 
     eye: Vector3 | None = None
@@ -252,8 +253,8 @@ class CameraOptions(StrictModel):
     projection: Literal["perspective", "orthographic"] = "perspective"
     fov_deg: Annotated[float, Field(gt=0, lt=180)] = 60.0
     height: Positive | None = None
-    near: Positive = 0.1
-    far: Positive = 1000.0
+    near: Positive | None = None
+    far: Positive | None = None
 
 
 class CameraKeyframe(StrictModel):

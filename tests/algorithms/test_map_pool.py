@@ -18,9 +18,10 @@ from wkernels.scene.lights import DiscLight, Light
 from wkernels.temporal.map_pool.carried_history import decode_offset, encode_offset
 from wkernels.temporal.map_pool.drawing import PoolPainter, store_layers, store_tiles
 from wkernels.temporal.map_pool.kept_maps import KeptMaps
-from wkernels.temporal.map_pool.mover_maps import MoverMaps, box_axes, box_view, mover_reach
+from wkernels.temporal.map_pool.mover_maps import MoverMaps, box_axes, box_view
 from wkernels.temporal.map_pool.pool import MapPool, allocate_pool, map_test
-from wkernels.temporal.map_pool.update import MoverReach, hidden_variance, may_reach
+from wkernels.temporal.map_pool.update import hidden_variance
+from wkernels.temporal.reach import MoverReach, may_reach, mover_reach
 
 LAMP = small.light("rectangle", (2.0, 8.0, 1.0), 2.0)
 LIGHTS: dict[str, Light] = {
@@ -146,7 +147,8 @@ def test_no_shadow_of_a_mover_is_culled(kind: str, device: str) -> None:
     lamp = small.light(kind, (1.0, 6.0, 0.5), 2.5)
     box = small.mesh("m", small.box((0.3, 2.0, -0.2), (0.8, 0.3, 1.1)))
     session = open_session(small.scene([box], lamp), device)
-    reach = mover_reach(session.light, session.geometry.bounds(casters=True))
+    box = session.geometry.bounds(casters=True)
+    reach = mover_reach(session.light, box.low, box.high)
     points = rng.uniform((-6.0, -3.0, -6.0), (6.0, 5.0, 6.0), (4000, 3)).astype(np.float32)
     out = wp.zeros(len(points), dtype=int, device=device)
     launch(ask_reach, len(points), [reach, wp.array(points, dtype=wp.vec3, device=device)], [out], device=device)

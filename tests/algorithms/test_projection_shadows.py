@@ -10,14 +10,8 @@ import small_scenes as small
 import warp as wp
 from filtering_sessions import OPTIONS, render, session, technique
 
-from wkernels.casters.flattening import (
-    Flattener,
-    cut_triangles,
-    flatten_vertices,
-    plane_of,
-    receiver_planes,
-    turned_to_light,
-)
+from wkernels.casters.flattening import CUT, Flattener, flatten_vertices
+from wkernels.casters.receiver_planes import plane_of, receiver_planes, turned_to_light
 from wkernels.device.launch import launch
 from wkernels.projections.clipping import clip_polygon
 from wkernels.scene.geometry import Geometry
@@ -166,8 +160,9 @@ def test_a_moving_plane_takes_its_shadow_along() -> None:
         running.advance()
 
 
+@pytest.mark.parametrize("fine", [False, True])
 @pytest.mark.parametrize("ties", [False, True])
-def test_cut_triangles_are_what_a_clipper_leaves(ties: bool) -> None:
+def test_cut_triangles_are_what_a_clipper_leaves(ties: bool, fine: bool) -> None:
     """Area and extent of each fan are those of the polygon that is clipped and flattened in float64."""
     rng = np.random.default_rng(7)
     corners = rng.uniform((-1.0, -1.0, -1.0), (1.0, 3.5, 1.0), size=(300, 3, 3)).astype(np.float32)
@@ -180,8 +175,9 @@ def test_cut_triangles_are_what_a_clipper_leaves(ties: bool) -> None:
     points = wp.array(corners.reshape(-1, 3), dtype=wp.vec3, device=device)
     order = wp.array(np.arange(3 * count, dtype=np.int32), dtype=int, device=device)
     flat, indices = wp.zeros(5 * count, dtype=wp.vec3, device=device), wp.zeros(9 * count, dtype=int, device=device)
-    inputs = [points, order, order[:count], wp.vec4(*plane), wp.vec4(*light), high, 0, 0]
-    launch(cut_triangles, count, inputs, [flat, indices], device=device)
+    vector, scalar = (wp.vec4d, wp.float64) if fine else (wp.vec4, wp.float32)
+    inputs = [points, order, order[:count], vector(*plane), vector(*light), high, 0, 0]
+    launch(CUT[scalar], count, inputs, [flat, indices], device=device)
     triangles = flat.numpy().astype(float)[indices.numpy()].reshape(count, 3, 3, 3)[..., [0, 2]]
     slab = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, -1.0, 0.0, high]])
     for fan, corner in zip(triangles, corners, strict=True):
@@ -283,7 +279,7 @@ def test_only_triangles_that_stick_out_are_cut() -> None:
         light = np.array([0.2, height, 2.0, 1.0]) - np.append(running.geometry.origin_ws, 0.0)
         turned = turned_to_light(plane, light, 6.0)
         assert turned is not None
-        cut = flattener.draw(running.geometry, turned, light, 6.0, gbuffer.view, shadow)
+        cut = flattener.draw(running.geometry, turned, light, 6.0, 20.0, gbuffer.view, shadow)
         assert cut == expected
 
 
@@ -297,6 +293,6 @@ def test_a_flattener_draws_one_triangle_anew_each_time() -> None:
     shadows = []
     for height in (9.0, 1.0, 9.0):
         light = np.array([0.0, height - geometry.origin_ws[1], 0.0, 1.0])
-        flattener.draw(geometry, plane, light, 10.0, view, depth)
+        flattener.draw(geometry, plane, light, 10.0, 20.0, view, depth)
         shadows.append(int(np.isfinite(depth.numpy()).sum()))
     assert shadows[0] == shadows[2] > 0 and shadows[1] == 0

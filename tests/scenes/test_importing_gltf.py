@@ -193,14 +193,12 @@ def test_skin_and_morph_targets_deform(tmp_path: Path) -> None:
     file.node(mesh=skinned, skin=0, translation=[50, 0, 0], name="skinned")  # the node's own pose has no part
     morphing = file.node(mesh=lifted, name="lifted")
     file.animate((high, "translation", [0, 1], [[0, 0, 0], [1, 0, 0]]), (morphing, "weights", [0, 1], [0.0, 1.0]))
-    scene = load_scene(
-        {
-            "import": str(file.write(tmp_path / "skin.gltf")),
-            "fps": 4,
-            "camera": {"eye": [0, 5, 9], "target": [0, 1, 0]},
-            "lights": [{"kind": "point", "position": [0, 6, -3]}],
-        }
-    )
+    keys = {
+        "import": str(file.write(tmp_path / "skin.gltf")),
+        "camera": {"eye": [0, 5, 9], "target": [0, 1, 0]},
+        "lights": [{"kind": "point", "position": [0, 6, -3]}],
+    }
+    scene = load_scene({**keys, "fps": 4})
     shape = {mesh.name: mesh for mesh in scene.meshes}
     assert [shape[name].moving for name in ("skinned", "lifted")] == [True, True]
     np.testing.assert_allclose(shape["skinned"].vertices_at(2), strip + np.outer([0, 0, 1, 1], [0.5, 0, 0]))
@@ -219,6 +217,12 @@ def test_skin_and_morph_targets_deform(tmp_path: Path) -> None:
     motion, _ = mesh_motion(Geometry(scene), 3, 2)
     assert [bool(np.abs(one[:3, 3]).max() > 1e12) for one in motion] == [False, True, True]  # no matrix follows them
     assert np.array_equal(mesh_motion(Geometry(scene), 9, 8)[0], np.tile(np.eye(4), (3, 1, 1)))  # they rest
+
+    geometry = Geometry(load_scene({**keys, "fps": 24}))
+    geometry.set_frame(12)
+    assert not geometry.resting  # their poses stay the same, their shapes do not
+    geometry.set_frame(60)
+    assert {geometry.meshes[i].name for i in geometry.resting} == {"skinned", "lifted"}
 
 
 def _obj(path: Path, vertices: np.ndarray) -> Path:

@@ -8,125 +8,70 @@ lies between plane and light is flattened: triangles that stick out are cut firs
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import warp as wp
 
+from wkernels.casters.clearance import Clearance
+from wkernels.casters.receiver_planes import ON_PLANE
 from wkernels.raster import Rasteriser
 from wkernels.raster.scratch import Scratch
 from wkernels.scene.geometry import Geometry
-from wkernels.scene.model import Mesh
 from wkernels.scene.views import View
 
-PLANAR_TOLERANCE = 1e-6
-"""Of a mesh's extent: how far its vertices may lie off one plane."""
-SAME_PLANE = 1e-6
-"""Of the scene's extent: planes that nowhere in it lie farther apart are one."""
-ON_PLANE = 2e-6
-"""Of the scene's extent: what lies no higher than this lies on the plane, for float32 positions."""
-BELOW_LIGHT = 1.0 - 1e-4
-"""Of the light's height: what is higher is cut off. Its shadow would lie 10^4 times as far away as it is high."""
+BELOW_LIGHT = 1e-4
+"""Of the light's height: what is closer below it is cut off. Its shadow would lie 10^4 times as far from the light's
+foot as it does itself."""
+LEAST_BELOW_LIGHT = 1e-9
+"""The same where a caster comes so close to the light that its shadow would end before the receivers do."""
 PIECES = wp.constant(3)  # triangles of a triangle cut to a slab
 
 
-@dataclass(frozen=True, eq=False)
-class ReceiverPlane:
-    """A plane on which something receives.
-
-    Attributes:
-        plane: float64 (4,), unit normal and offset, rebased world; the normal's side is arbitrary.
-        meshes: Indices of the receiving meshes that lie on it, in the geometry's order.
-    """
-
-    plane: np.ndarray
-    meshes: list[int] = field(default_factory=list)
-
-
-def plane_of(vertices: np.ndarray) -> np.ndarray | None:
-    """The plane through all ``vertices`` (n, 3), float64 (4,) with a unit normal; None where there is no single one."""
-    vertices = np.asarray(vertices, np.float64)
-    vertices = vertices[np.isfinite(vertices).all(axis=1)]
-    if len(vertices) < 3:
-        return None
-    middle = vertices.mean(axis=0)
-    _, extents, axes = np.linalg.svd(vertices - middle, full_matrices=False)
-    if extents[2] > PLANAR_TOLERANCE * extents[0] or extents[1] <= PLANAR_TOLERANCE * extents[0]:
-        return None
-    return np.append(axes[2], -axes[2] @ middle)
-
-
-def receiver_planes(geometry: Geometry, frame: int, own_planes: dict[int, np.ndarray | None]) -> list[ReceiverPlane]:
-    """The planes of all flat receiving meshes at a frame; meshes on one plane share it.
-
-    Args:
-        geometry: Gives the meshes and the rebasing.
-        frame: Index of the frame, for the poses.
-        own_planes: Object-space planes by mesh, filled here and kept by the caller: they change only where shapes do.
-    """
-    box = geometry.bounds(casters=True, receivers=True)
-    extent = 0.0 if box.empty else float(np.abs([box.low, box.high]).max())
-    planes: list[ReceiverPlane] = []
-    for i, mesh in enumerate(geometry.meshes):
-        if not mesh.receives:
-            continue
-        if i not in own_planes or mesh.deformed is not None:
-            own_planes[i] = plane_of(mesh.vertices_at(frame))
-        plane = _placed(own_planes[i], mesh, frame, geometry.origin_ws)
-        if plane is None:
-            continue
-        for known in planes:
-            side = np.sign(known.plane[:3] @ plane[:3])
-            apart = np.abs(known.plane - side * plane)
-            if apart[:3].sum() * extent + apart[3] <= SAME_PLANE * extent:
-                known.meshes.append(i)
-                break
-        else:
-            planes.append(ReceiverPlane(plane, [i]))
-    return planes
-
-
-def _placed(plane: np.ndarray | None, mesh: Mesh, frame: int, origin_ws: np.ndarray) -> np.ndarray | None:
-    pose = mesh.object_to_ws(frame)
-    if plane is None or abs(np.linalg.det(pose[:3, :3])) < 1e-300:
-        return None
-    normal = np.linalg.solve(pose[:3, :3].T, plane[:3])
-    offset = plane[3] - normal @ pose[:3, 3] + normal @ origin_ws
-    return np.append(normal, offset) / np.linalg.norm(normal)
-
-
-def turned_to_light(plane: np.ndarray, light_ws: np.ndarray, extent: float) -> np.ndarray | None:
-    """The plane with its normal on the light's side, (4,); None where the light lies in it and M has rank 1.
-
-    Args:
-        plane: (4,), unit normal.
-        light_ws: Light sample (4,).
-        extent: Of the scene, which says how well positions are known.
-    """
-    height = float(plane @ light_ws)
-    least = ON_PLANE * (extent if light_ws[3] > 0.0 else 1.0)
-    return None if abs(height) <= least else plane * np.sign(height)
-
-
 @wp.func
-def height_above(plane: wp.vec4, position_ws: wp.vec3):
+def height_above(plane: Any, position_ws: Any):
     """Signed distance of a point from a plane."""
     return plane[0] * position_ws[0] + plane[1] * position_ws[1] + plane[2] * position_ws[2] + plane[3]
 
 
 @wp.func
-def flatten_point(plane: wp.vec4, light_ws: wp.vec4, position_ws: wp.vec3):
+def in_precision_of(plane: wp.vec4, position_ws: wp.vec3):
+    """A position as the plane's numbers are kept."""
+    return position_ws
+
+
+@wp.func  # type: ignore[no-redef]
+def in_precision_of(plane: wp.vec4d, position_ws: wp.vec3):
+    """A position as the plane's numbers are kept: float64."""
+    return wp.vec3d(position_ws)
+
+
+@wp.func
+def place_of(sample: wp.vec4):
+    """A light sample without its w."""
+    return wp.vec3(sample[0], sample[1], sample[2])
+
+
+@wp.func  # type: ignore[no-redef]
+def place_of(sample: wp.vec4d):
+    """The same in float64."""
+    return wp.vec3d(sample[0], sample[1], sample[2])
+
+
+@wp.func
+def flatten_point(plane: Any, light_ws: Any, position_ws: Any):
     """Where the line from the light through a point meets the plane: M x / w. The point is below the light's height."""
     height = height_above(plane, position_ws)
     fall = wp.dot(plane, light_ws) - height * light_ws[3]
-    way = wp.vec3(light_ws[0], light_ws[1], light_ws[2]) - position_ws * light_ws[3]
+    way = place_of(light_ws) - position_ws * light_ws[3]
     return position_ws - way * (height / fall)
 
 
 @wp.func
-def point_at_height(low_ws: wp.vec3, high_ws: wp.vec3, low: float, high: float, wanted: float):
+def point_at_height(low_ws: Any, high_ws: Any, low: Any, high: Any, wanted: Any):
     """The point of an edge, given from its lower end to its higher one, at a height; between its ends."""
-    share = wp.clamp((wanted - low) / wp.max(high - low, 1.0e-30), 0.0, 1.0)
+    rise = wp.max(high - low, type(low)(1.0e-30))
+    share = wp.clamp((wanted - low) / rise, type(low)(0.0), type(low)(1.0))
     return low_ws + (high_ws - low_ws) * share
 
 
@@ -186,9 +131,9 @@ def cut_triangles(
     points_ws: wp.array(dtype=wp.vec3),
     indices: wp.array(dtype=int),
     which: wp.array(dtype=int),
-    plane: wp.vec4,
-    light_ws: wp.vec4,
-    high: float,
+    plane: Any,
+    light_ws: Any,
+    high: Any,
     first_point: int,
     first_index: int,
     flat_out: wp.array(dtype=wp.vec3),
@@ -196,13 +141,15 @@ def cut_triangles(
 ):
     """The part of each triangle between plane and ``high``, flattened: a pentagon, which may be degenerate, as a fan.
 
+    In float64 where ``high`` is closer to the light than float32 can tell.
+
     Its corners lie on the edge from the lowest vertex to the highest and on the way between them over the third one.
     """
     slot = first + wp.tid()
     t = which[slot]
-    a = points_ws[indices[3 * t]]
-    b = points_ws[indices[3 * t + 1]]
-    c = points_ws[indices[3 * t + 2]]
+    a = in_precision_of(plane, points_ws[indices[3 * t]])
+    b = in_precision_of(plane, points_ws[indices[3 * t + 1]])
+    c = in_precision_of(plane, points_ws[indices[3 * t + 2]])
     h_a = height_above(plane, a)
     h_b = height_above(plane, b)
     h_c = height_above(plane, c)
@@ -227,7 +174,7 @@ def cut_triangles(
         height = h_a
         h_a = h_b
         h_b = height
-    lowest = wp.max(h_a, 0.0)
+    lowest = wp.max(h_a, type(high)(0.0))
     highest = wp.min(h_c, high)
     middle = wp.clamp(h_b, lowest, highest)
     at = first_point + 5 * slot
@@ -245,12 +192,18 @@ def cut_triangles(
             point = point_at_height(a, b, h_a, h_b, height)
         else:
             point = point_at_height(b, c, h_b, h_c, height)
-        flat_out[at + i] = flatten_point(plane, light_ws, point)
+        flat_out[at + i] = wp.vec3(flatten_point(plane, light_ws, point))
     for piece in range(PIECES):
         to = first_index + 3 * (PIECES * slot + piece)
         indices_out[to] = at
         indices_out[to + 1] = at + piece + 1
         indices_out[to + 2] = at + piece + 2
+
+
+CUT = {
+    scalar: wp.overload(cut_triangles, {"plane": vector, "light_ws": vector, "high": scalar})
+    for scalar, vector in ((wp.float32, wp.vec4), (wp.float64, wp.vec4d))
+}
 
 
 class Flattener:
@@ -264,6 +217,7 @@ class Flattener:
     def __init__(self, device: str, threads: int | None) -> None:
         self._scratch = Scratch(device, threads)
         self._rasteriser = Rasteriser(device, threads)
+        self._clearance = Clearance()
 
     def draw(
         self,
@@ -271,6 +225,7 @@ class Flattener:
         plane: np.ndarray,
         light_ws: np.ndarray,
         extent: float,
+        reach: float,
         view: View,
         depth_out: wp.array,
     ) -> int:
@@ -281,6 +236,7 @@ class Flattener:
             plane: Of ``turned_to_light``, float64 (4,).
             light_ws: Light sample, float64 (4,), rebased world.
             extent: Largest coordinate of the scene: positions are known to ``ON_PLANE`` of it.
+            reach: How far from a point light any receiver is at most.
             view: The eye's.
             depth_out: float32 (H, W): finite where the plane, seen there, lies in shadow.
 
@@ -290,7 +246,8 @@ class Flattener:
         scratch, count, vertices = self._scratch, geometry.caster_triangles, len(geometry.points_ws)
         points, indices = geometry.points_ws, geometry.caster_indices
         on_device, light = wp.vec4(*plane), wp.vec4(*light_ws)
-        high = BELOW_LIGHT * float(plane @ light_ws) if light_ws[3] > 0.0 else float("inf")
+        height = float(plane @ light_ws) if light_ws[3] > 0.0 else float("inf")
+        high = (1.0 - BELOW_LIGHT) * height
         cut = scratch.array("cut", (count,), wp.uint8)
         kept = scratch.array("kept", (3 * count,), int)
         inputs = [points, indices, on_device, ON_PLANE * extent, high]
@@ -303,7 +260,24 @@ class Flattener:
             drawn = scratch.array("drawn", (3 * count + 3 * int(PIECES) * len(which),), int)
             wp.copy(drawn, kept, count=3 * count)
             slots = wp.array(which, dtype=int, device=scratch.device)
-            inputs = [points, indices, slots, on_device, light, high, vertices, 3 * count]
-            scratch.launch(cut_triangles, len(which), inputs, [flat, drawn])
+            below = self._below_light(geometry, light_ws, reach)
+            fine = below < BELOW_LIGHT
+            bounds: list[Any] = [on_device, light, high]
+            if fine:
+                bounds = [wp.vec4d(*plane), wp.vec4d(*light_ws), (1.0 - below) * height]
+            inputs = [points, indices, slots, *bounds, vertices, 3 * count]
+            scratch.launch(CUT[wp.float64 if fine else wp.float32], len(which), inputs, [flat, drawn])
         self._rasteriser.draw(flat, drawn, view, depth_out)
         return len(which)
+
+    def _below_light(self, geometry: Geometry, light_ws: np.ndarray, reach: float) -> float:
+        """How far below a light casters are cut off, as a share of its height.
+
+        Their shadows must go on as far as any receiver: the closer a caster comes to the light, the nearer to its
+        height is what still casts on them.
+        """
+        if light_ws[3] == 0.0:
+            return BELOW_LIGHT
+        most = 4.0 * BELOW_LIGHT * reach
+        clear = self._clearance.within(geometry, light_ws[:3], most)
+        return max(LEAST_BELOW_LIGHT, BELOW_LIGHT * clear / most) if clear < most else BELOW_LIGHT

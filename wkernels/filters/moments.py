@@ -9,9 +9,9 @@ import warp as wp
 
 from wkernels.device.lanes import LANES, Floats, Pairs, flat_floats, row_runs, store_run
 from wkernels.device.twin import Twin
+from wkernels.filters.depth_ranges import depth_range
 from wkernels.filters.map_images import (
     MapImage,
-    fill_image,
     new_image,
     sample_bilinear,
     sample_component_run,
@@ -21,6 +21,7 @@ from wkernels.light_maps.host_map import HostMap
 from wkernels.light_maps.light_map import Bias, LightMap
 from wkernels.light_maps.receiver_lanes import LaneViews, ReceiverRun, in_lane_views, locate_run
 from wkernels.light_maps.receivers import receiver_of_pixel
+from wkernels.light_maps.storage import layer_images
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.scene.geometry import Geometry
 from wkernels.workspace.workspace import Workspace
@@ -30,16 +31,18 @@ from wkernels.workspace.workspace import Workspace
 class Chebyshev:
     """How moments become visibility."""
 
-    near: float  # linear depth that is -1/2, scene units
-    per_length: float  # 1 / (depth range), per scene unit
+    ranges: wp.array(dtype=wp.vec2)  # (layers,) of ``normalised``
     min_variance: float  # of normalised depth
     bleeding: float  # share of the bound that is cut off
 
 
 @wp.func
-def normalised(chebyshev: Chebyshev, depth: float):
-    """Linear depth to [-1/2, 1/2] over the range; empty texels (+inf) and what lies beyond it to 1/2."""
-    return wp.min((depth - chebyshev.near) * chebyshev.per_length, 1.0) - 0.5
+def normalised(range_of_layer: wp.vec2, depth: float):
+    """Linear depth to [-1/2, 1/2] over a layer's range; empty texels (+inf) and what lies beyond it to 1/2.
+
+    The range is the depth that is -1/2, scene units, and 1 / (far - near), per scene unit.
+    """
+    return wp.min((depth - range_of_layer[0]) * range_of_layer[1], 1.0) - 0.5
 
 
 @wp.func
@@ -63,7 +66,7 @@ def smaller_step(before: float, here: float, after: float):
 def find_moments(
     first: int,
     depth: wp.array2d(dtype=float),  # of one layer
-    chebyshev: Chebyshev,
+    range_of_layer: wp.vec2,
     slope_variance: int,
     moments_out: wp.array2d(dtype=wp.vec2),
 ):
@@ -71,13 +74,13 @@ def find_moments(
     row, x = wp.tid()
     y = first + row
     last = depth.shape[1] - 1
-    z = normalised(chebyshev, depth[y, x])
+    z = normalised(range_of_layer, depth[y, x])
     square = z * z
     if slope_variance != 0:
-        left = normalised(chebyshev, depth[y, wp.max(x - 1, 0)])
-        right = normalised(chebyshev, depth[y, wp.min(x + 1, last)])
-        above = normalised(chebyshev, depth[wp.max(y - 1, 0), x])
-        below = normalised(chebyshev, depth[wp.min(y + 1, last), x])
+        left = normalised(range_of_layer, depth[y, wp.max(x - 1, 0)])
+        right = normalised(range_of_layer, depth[y, wp.min(x + 1, last)])
+        above = normalised(range_of_layer, depth[wp.max(y - 1, 0), x])
+        below = normalised(range_of_layer, depth[wp.min(y + 1, last), x])
         dx = smaller_step(left, z, right)
         dy = smaller_step(above, z, below)
         square += 0.25 * (dx * dx + dy * dy)
@@ -88,7 +91,7 @@ def find_moments(
 def find_moments_lanes(
     first: int,
     depth: wp.array2d(dtype=Floats),  # the rows of a layer, a run from every texel on
-    chebyshev: Chebyshev,
+    range_of_layer: wp.vec2,
     slope_variance: int,  # 0
     moments_out: wp.array2d(dtype=Pairs),
 ):
@@ -96,8 +99,8 @@ def find_moments_lanes(
     row, run = wp.tid()
     y = first + row
     start = wp.min(run * LANES, depth.shape[1] - 1)
-    near = chebyshev.near
-    per_length = chebyshev.per_length
+    near = range_of_layer[0]
+    per_length = range_of_layer[1]
     depths = depth[y, start]
     out = Pairs()
     for k in range(LANES):
@@ -107,22 +110,22 @@ def find_moments_lanes(
     moments_out[y, 2 * start] = out
 
 
-def _layer_in_lanes(depth: wp.array, chebyshev: Chebyshev, slope_variance: int) -> list:
-    return [row_runs(depth, Floats), chebyshev, slope_variance]
+def _layer_in_lanes(depth: wp.array, range_of_layer: wp.vec2, slope_variance: int) -> list:
+    return [row_runs(depth, Floats), range_of_layer, slope_variance]
 
 
 def _out_in_pairs(image: wp.array) -> list:
     return [row_runs(image, Pairs)]
 
 
-def _fits_lanes(depth: wp.array, chebyshev: Chebyshev, slope_variance: int, image: wp.array) -> bool:
+def _fits_lanes(depth: wp.array, range_of_layer: wp.vec2, slope_variance: int, image: wp.array) -> bool:
     return bool(depth.shape[1] >= LANES) and not slope_variance
 
 
 FIND_MOMENTS = Twin(
     find_moments, find_moments_lanes, inputs=_layer_in_lanes, outputs=_out_in_pairs, fits=_fits_lanes, tolerance=1e-6
 )
-"""(depth of a layer, chebyshev, slope_variance) -> moments of each of its texels."""
+"""(depth of a layer, range of depth, slope_variance) -> moments of each of its texels."""
 
 
 @wp.func
@@ -137,12 +140,16 @@ def lit_share_run(chebyshev: Chebyshev, moments: wp.array(dtype=float), receiver
     layers = receivers.layer
     visible = receivers.visible
     own = receivers.depth
-    near = chebyshev.near
-    per_length = chebyshev.per_length
+    near = Floats(0.0)
+    per_length = Floats(0.0)
+    for k in range(LANES):
+        range_of_layer = chebyshev.ranges[wp.max(layers[k], 0)]
+        near[k] = range_of_layer[0]
+        per_length[k] = range_of_layer[1]
     least = chebyshev.min_variance
     bleeding = chebyshev.bleeding
     for k in range(LANES):
-        depth = wp.min((own[k] - near) * per_length, 1.0) - 0.5
+        depth = wp.min((own[k] - near[k]) * per_length[k], 1.0) - 0.5
         behind = depth - means[k]
         variance = wp.max(squares[k] - means[k] * means[k], least)
         bound = wp.where(behind > 0.0, variance / (variance + behind * behind), 1.0)
@@ -168,7 +175,7 @@ def look_up_moments(
     visible = receiver.visible
     if receiver.layer >= 0:
         mean = sample_bilinear(moments, light_map, receiver.layer, receiver.x, receiver.y)
-        visible = lit_share(chebyshev, mean, normalised(chebyshev, receiver.depth))
+        visible = lit_share(chebyshev, mean, normalised(chebyshev.ranges[receiver.layer], receiver.depth))
     visibility_out[y, x] = visible
 
 
@@ -206,7 +213,7 @@ class Moments:
     """Moments of one light map.
 
     Attributes:
-        chebyshev: The depth range they are normalised to, and the constants of the bound.
+        chebyshev: The ranges of depth they are normalised to, by layer, and the constants of the bound.
         image: vec2, mean and mean square of normalised depth.
     """
 
@@ -228,37 +235,25 @@ def pull_moments(
     Args:
         work: Where they are kept; of one technique label, whose constants stay.
         light_map: The map.
-        geometry: Spans the depth range.
+        geometry: Spans the depth range of each layer.
         min_variance: As in ``Chebyshev``.
         bleeding: Likewise.
         slope_variance: Whether the variance of depth within each texel is added (Lauritzen 2007).
     """
 
     def build(old: Moments | None) -> Moments:
-        box, chebyshev = geometry.bounds(casters=True, receivers=True), Chebyshev()
-        near, far = depth_range(light_map.map.ws_to_ls.numpy(), box.corners)
-        chebyshev.near, chebyshev.per_length = near, 1.0 / (far - near)
+        ranges = np.zeros((light_map.map.layers, 2), np.float32)
+        for i, rows in enumerate(light_map.map.ws_to_ls.numpy()):
+            near, far = depth_range(rows, geometry.mesh_boxes)
+            ranges[i] = near, 1.0 / (far - near)
+        chebyshev = Chebyshev()
+        chebyshev.ranges = wp.array(ranges, dtype=wp.vec2, device=work.device)
         chebyshev.min_variance, chebyshev.bleeding = min_variance, bleeding
         image = new_image(work, light_map.layout, wp.vec2, old.image if old else None, light_map.slot)
-        fill_image(work, FIND_MOMENTS, light_map, [chebyshev, int(slope_variance)], image)
+        depths = layer_images(light_map.map.depth, image.layout)
+        for own, depth, layer in zip(ranges, depths, image.layers, strict=True):
+            work.launch(FIND_MOMENTS, layer.shape, [depth, wp.vec2(*own), int(slope_variance)], [layer])
         return Moments(chebyshev=chebyshev, image=image)
 
     moments: Moments = work.product("moments", ("moments", light_map.slot), (light_map.map,), build)
     return moments
-
-
-def depth_range(ws_to_ls: np.ndarray, corners_ws: np.ndarray) -> tuple[float, float]:
-    """Least and greatest linear depth of a box in front of a light.
-
-    Args:
-        ws_to_ls: The map's matrices, (layers, 4, 4).
-        corners_ws: Corners of the box, (8, 3), rebased world; none for a scene without meshes.
-
-    Returns:
-        near >= 0 and far > near, scene units, over all layers.
-    """
-    if len(corners_ws) == 0:
-        return 0.0, 1.0
-    depth = corners_ws @ ws_to_ls[:, 2, :3].T + ws_to_ls[:, 2, 3]
-    near, far = max(float(depth.min()), 0.0), max(float(depth.max()), 0.0)
-    return near, max(far, near + 1e-6 * max(near, 1e-6))

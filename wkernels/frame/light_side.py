@@ -41,6 +41,11 @@ It may have three attributes: ``near``, the ``NearPlane`` rule of the eye view t
 """
 
 
+FARTHEST_CASTER = 64.0
+"""Distance of a caster from what is around the eye, in sizes of that, up to which one map holds the depths of both:
+the comparison's allowance for rounding is 2e-6 of it (``light_map``)."""
+
+
 class LightSide(EyeSide):
     """What one frame of one technique label offers under the light that is set.
 
@@ -137,7 +142,7 @@ class LightSide(EyeSide):
 
     def light_hull(self) -> LightHull:
         """The light's hull for proofs, and how far a ray must reach to leave the scene."""
-        return light_hull(self.light, self.reach, self.device)
+        return light_hull(self.light, self.reach, self.device, self.span)
 
     @property
     def reach(self) -> float:
@@ -146,10 +151,46 @@ class LightSide(EyeSide):
         return 1.0 if box.empty else 1.01 * float(np.linalg.norm(box.high - box.low)) + 1e-6
 
     @property
+    def span(self) -> float:
+        """Size of what is around the eye, scene units: ``reach`` in scenes that do not go on much farther."""
+        return 1.01 * self.geometry.span + 1e-6 if self.geometry.span else 1.0
+
+    @property
     def middle_of_receivers(self) -> np.ndarray:
-        """The middle of the box of everything that receives, (3,), rebased world."""
-        box = self.geometry.bounds(receivers=True)
+        """The middle of the box of what receives, and is not too small to be seen, (3,), rebased world."""
+        box = self.geometry.bounds(receivers=True, noticed=True)
         return np.zeros(3) if box.empty else 0.5 * (box.low + box.high)
+
+    def casters_towards(self, light_ws: np.ndarray, moving: bool | None = None) -> Bounds:
+        """Boxes of the casters that a map of what is noticed needs to hold, from a light sample (4,), rebased world.
+
+        Those that are noticed, and of the others those between it and a directional light: no map from a point ends
+        before its casters. One that lies more than ``FARTHEST_CASTER`` before it is left out, and that is told.
+
+        Args:
+            light_ws: Light sample (4,), rebased world.
+            moving: As for ``Geometry.bounds``.
+        """
+        noticed = self.geometry.bounds(casters=True, moving=moving, noticed=True)
+        out = self.geometry.bounds(casters=True, moving=moving)
+        if light_ws[3] != 0.0 or len(out.corners) == len(noticed.corners):
+            return noticed
+        shaded = self.geometry.bounds(casters=True, receivers=True, noticed=True)
+        if shaded.empty:
+            return out
+        middle, radius = 0.5 * (shaded.low + shaded.high), 0.5 * float(np.linalg.norm(shaded.high - shaded.low))
+        held = {box.tobytes() for box in noticed.corners.reshape(-1, 8, 3)}
+        for box in out.corners.reshape(-1, 8, 3):
+            way = 0.5 * (box[0] + box[-1]) - middle
+            along, own = float(way @ light_ws[:3]), 0.5 * float(np.linalg.norm(box[-1] - box[0]))
+            aside = float(np.linalg.norm(way - along * light_ws[:3]))
+            if box.tobytes() in held or along <= 0.0 or aside > 1.001 * (radius + own):
+                continue
+            if along - own > FARTHEST_CASTER * 2.0 * radius:
+                self.record("casters in light maps", "they are so far off that depth would lose those near the eye")
+            else:
+                noticed.add(box)
+        return noticed
 
     def look_from_light(
         self, light_ws: np.ndarray, receivers: Bounds, casters: Bounds, resolution: int
@@ -258,8 +299,11 @@ class LightSide(EyeSide):
         return getattr(self.projection, "map_options", PLAIN_MAP)
 
     def _look(self, light_ws: np.ndarray, resolution: int) -> list[HostView]:
-        """The views of a map from a light sample, of all that receives; of all that casts where nothing does."""
-        receivers, casters = self.geometry.bounds(receivers=True), self.geometry.bounds(casters=True)
+        """The views of a map from a light sample, of what receives; of what casts where nothing does.
+
+        What is too small to be seen from anywhere on the path needs no texels.
+        """
+        receivers, casters = self.geometry.bounds(receivers=True, noticed=True), self.casters_towards(light_ws)
         if receivers.empty:
             receivers = casters
         if receivers.empty:  # no meshes at all: any view will do

@@ -190,6 +190,6 @@ class CasterBlocks:
         if self._blocks is None:
             self._blocks = TriangleBlocks(geometry.points_ws, geometry.caster_indices, self._device, self._threads)
         elif self._version != geometry.version:
-            self._blocks.update([(int(begin), int(end)) for begin, end in geometry.moving_triangles.numpy()])
+            self._blocks.update(geometry.movable_triangles)
         self._version = geometry.version
         return self._blocks

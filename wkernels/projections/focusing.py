@@ -15,7 +15,7 @@ part H has the same extent in the map as H itself; only its depth range is large
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -274,4 +274,25 @@ def projective_view(
         perspective=space.perspective,
         rows=rows,
         choice=choice,
+    )
+
+
+def depth_from(view: ProjectiveView, body: ConvexBody) -> ProjectiveView:
+    """A directional light's view whose depth begins before ``body``, B of what it covers, as far as B is deep.
+
+    For scenes that go on so far that float32 depths from their border say little; linear depth may begin anywhere.
+    """
+    if body.is_empty:
+        return view
+    depth = body.vertices @ view.rows[2, :3] + view.rows[2, 3]
+    room = max(float(np.ptp(depth)), 1e-6)
+    first = float(depth.min()) - room
+    rows = view.rows.copy()
+    rows[2, 3] -= first
+    return replace(
+        view,
+        eye_ws=view.eye_ws + first * view.forward_ws,
+        rows=rows,
+        far=3.0 * room,
+        clamped_before=max(view.clamped_before - first, 0.0),
     )

@@ -50,7 +50,8 @@ def depth_key(view: View) -> DepthKey | None:
         return None
     plane, (x, y, depth, w) = rows / scale, (0, 1, 2, 3)
     light = np.linalg.svd(plane[[x, y, w]])[2][-1]
-    out.perspective = int(abs(plane[depth] @ light) < 1e-4)
+    terms = plane[depth] * light  # they cancel where depth vanishes, whatever the scene's unit
+    out.perspective = int(abs(terms.sum()) < 1e-4 * np.abs(terms).sum())
     target = rows[depth] if out.perspective else np.array([0.0, 0.0, 0.0, 1.0])
     basis = rows[[w, x, y]].T
     factors, *_ = np.linalg.lstsq(basis, target, rcond=None)

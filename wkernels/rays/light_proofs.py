@@ -28,16 +28,24 @@ class LightHull:
     high: wp.vec3
     is_point: float  # 1 points, 0 directions
     reach: float  # ray length that leaves the scene, for directions
+    span: float  # size of what is around the eye, by which positions are rounded
 
 
-def light_hull(light: Light, reach: float, device: str) -> LightHull:
-    """The hull of a light, rebased world; ``reach`` is the length of a ray that leaves the scene."""
+def light_hull(light: Light, reach: float, device: str, span: float | None = None) -> LightHull:
+    """The hull of a light, rebased world.
+
+    Args:
+        light: The light.
+        reach: Length of a ray that leaves the scene.
+        device: Warp device.
+        span: Size of what is around the eye; ``reach`` unless given.
+    """
     corners = light.hull
     out = LightHull()
     out.corners = wp.array(corners[:, :3].astype(np.float32), dtype=wp.vec3, device=device)
     out.low, out.high = wp.vec3(*corners[:, :3].min(axis=0)), wp.vec3(*corners[:, :3].max(axis=0))
     out.is_point = float(corners[0, 3])
-    out.reach = reach
+    out.reach, out.span = reach, reach if span is None else span
     return out
 
 

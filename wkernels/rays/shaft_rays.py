@@ -29,7 +29,7 @@ Floats = wp.types.vector(length=BATCH, dtype=wp.float32)
 Masks = wp.types.vector(length=WIDTH, dtype=wp.int32)
 Slopes = wp.types.vector(length=4 * GROUPS, dtype=wp.float32)
 Stack = wp.types.vector(length=96, dtype=wp.int32)  # 7 siblings for each of at most 10 levels, and the last one's 8
-ROUNDING = wp.constant(4.0e-6)  # of box and corner coordinates against the shaft's sides, relative to the scene's size
+ROUNDING = wp.constant(4.0e-6)  # of box and corner coordinates against the shaft's sides, relative to their size
 BEFORE_SAMPLE = wp.constant(1.0 - 1.0e-6)  # share of the way at which a caster still hides a sample
 
 
@@ -125,7 +125,9 @@ def trace_shafts(
     frame = shaft_frame(hull, origin)
     shaft = shaft_of(frame)
     steepest = wp.max(wp.max(-frame.low_u, frame.high_u), wp.max(-frame.low_v, frame.high_v))
-    slack = ROUNDING * hull.reach * (1.0 + wp.max(steepest, 0.0))  # sides of slope t are 1 + t long or less
+    # what is far from a receiver is rounded by less than the shaft is widened: it is what lies near that needs slack
+    coordinates = wp.max(hull.span, wp.max(wp.max(wp.abs(origin[0]), wp.abs(origin[1])), wp.abs(origin[2])))
+    slack = ROUNDING * coordinates * (1.0 + wp.max(steepest, 0.0))  # sides of slope t are 1 + t long or less
     touched = int(0)
     seen = float(0.0)
     total = float(0.0)

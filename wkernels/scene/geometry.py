@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
+from collections.abc import Callable, Hashable
 
 import numpy as np
 import warp as wp
 
 from wkernels.device.launch import launch
 from wkernels.scene.model import Mesh, Scene
+from wkernels.scene.origin import PRECISION, eye_box, origin_of
+from wkernels.scene.rest import Poses
 
 CASTS = wp.constant(1)
 RECEIVES = wp.constant(2)
@@ -61,10 +65,12 @@ class Bounds:
 
 
 class Geometry:
-    """All meshes of a scene in one set of arrays, casting meshes first, and of these the ones that stand still.
+    """All meshes of a scene in one set of arrays, casting meshes first, and of these the ones that never move.
 
-    World positions are stored minus ``origin_ws`` (float64, about the middle of the scene), so that world offsets of
-    1e6 cost nothing; ``_ws`` on the device means this rebased world.
+    World positions are stored minus ``origin_ws`` (float64, ``scene.origin``: the middle of what is around the eye), so
+    that world offsets of 1e6 cost nothing; ``_ws`` on the device means this rebased world.
+
+    A mesh that may move but rests (``scene.rest``) counts as one that stands still, until it moves again.
 
     Attributes:
         points_ws: vec3, shape (V,).
@@ -74,9 +80,13 @@ class Geometry:
         caster_sets: int32 arrays like ``indices``: of casting meshes ``all``, the ``still`` or the ``moving`` ones.
         mesh_flags: int32, shape (M,): CASTS | RECEIVES | MOVES.
         mesh_diffuse: vec3, shape (M,).
-        moving, casters_move: Whether any mesh moves, and whether any does that casts.
-        moving_triangles: vec2i, one (begin, end) for each moving mesh.
-        version: Grows whenever a vertex moves.
+        moving: Whether any mesh may move.
+        casters_move: Whether any mesh moves that casts.
+        moving_triangles: vec2i, one (begin, end) for each mesh that moves.
+        movable_triangles: (begin, end) for each mesh that may move.
+        resting: Indices of the meshes that may move but rest.
+        still_triangles: How many casting triangles stand still.
+        version: Grows whenever a vertex moves, or a mesh comes to rest or leaves it.
     """
 
     def __init__(self, scene: Scene, device: str = "cpu", threads: int | None = None) -> None:
@@ -86,19 +96,20 @@ class Geometry:
         self.meshes: list[Mesh] = sorted(scene.meshes, key=lambda mesh: (not mesh.casts, mesh.moving))
         self.version = 0
         self._frame: int | None = None
-        self._poses: dict[int, np.ndarray] = {}  # of moving meshes; of those that change shape their vertices
-        placed = [_place(mesh, 0) for mesh in self.meshes]
-        box = Bounds()
-        for vertices in placed:
-            box.add(_finite(vertices))  # or one broken vertex would take the whole scene with it
-        self.origin_ws = np.zeros(3) if box.empty else 0.5 * (box.low + box.high)
+        self._shown: dict[int, np.ndarray] = {}
+        self.poses = Poses({i: _state(mesh) for i, mesh in enumerate(self.meshes) if mesh.moving})
+        placed = [placed_vertices(mesh, 0) for mesh in self.meshes]
+        self._eyes = eye_box(scene)
+        held = [box for vertices in placed if (box := box_of(vertices)) is not None]
+        self.origin_ws = origin_of(np.array(held).reshape(-1, 2, 3), self._eyes)
         placed = [vertices - self.origin_ws for vertices in placed]
-        self._boxes = [_box(vertices) for vertices in placed]
+        self._boxes = [box_of(vertices) for vertices in placed]
+        self._noticed = self._find_noticed()
         sizes = [len(mesh.faces) for mesh in self.meshes]
         starts = np.cumsum([0] + [len(mesh.vertices) for mesh in self.meshes])
         self._ranges = [slice(a, b) for a, b in itertools.pairwise(starts)]
+        self._ends = np.cumsum([0, *sizes])
         faces = [mesh.faces + start for mesh, start in zip(self.meshes, starts[:-1], strict=True)]
-        flags = [CASTS * mesh.casts + RECEIVES * mesh.receives + MOVES * mesh.moving for mesh in self.meshes]
         diffuse = np.array([mesh.diffuse for mesh in self.meshes], dtype=np.float32).reshape(-1, 3)
 
         def upload(parts: list[np.ndarray], dtype: type, kind: str) -> wp.array:
@@ -108,30 +119,21 @@ class Geometry:
         self.indices = upload([f.ravel() for f in faces], wp.int32, "int32")
         self.triangles = sum(sizes)
         self.caster_triangles = sum(n for n, mesh in zip(sizes, self.meshes, strict=True) if mesh.casts)
-        self.still_triangles = sum(n for n, m in zip(sizes, self.meshes, strict=True) if m.casts and not m.moving)
-        ends = np.cumsum([0, *sizes])
-        moving = [(ends[i], ends[i + 1]) for i, mesh in enumerate(self.meshes) if mesh.moving]
-        self.moving_triangles = wp.array(np.array(moving, np.int32).reshape(-1, 2), dtype=wp.vec2i, device=device)
+        self.movable_triangles = [self._range_of(i) for i, mesh in enumerate(self.meshes) if mesh.moving]
         # Warp cannot slice an array of no elements, which a scene without meshes has
         self.caster_indices = self.indices[: 3 * self.caster_triangles] if self.triangles else self.indices
-        still, end = 3 * self.still_triangles, 3 * self.caster_triangles
-        self.caster_sets = {"all": self.caster_indices, "still": self.caster_indices, "moving": self.caster_indices}
-        if self.triangles:
-            # a slice must not begin at the end, not even an empty one
-            moves = slice(still, end) if still < end else slice(0, 0)
-            self.caster_sets |= {"still": self.indices[:still], "moving": self.indices[moves]}
         self.triangle_mesh = upload([np.repeat(np.arange(len(sizes)), sizes)], wp.int32, "int32")
-        self.mesh_flags = wp.array(np.array(flags, dtype=np.int32), dtype=wp.int32, device=device)
         self.mesh_diffuse = wp.array(diffuse, dtype=wp.vec3, device=device)
         self.points_ws = upload([p.astype(np.float32).reshape(-1, 3) for p in placed], wp.vec3, "float32")
         self.triangle_normal_ws = wp.zeros(self.triangles, dtype=wp.vec3, device=device)
         self._update_normals()
         self.moving = any(mesh.moving for mesh in self.meshes)
-        self.casters_move = any(mesh.moving and mesh.casts for mesh in self.meshes)
+        self.resting: frozenset[int] = frozenset()
+        self._sort_out()
         self.set_frame(0)
 
     def set_frame(self, frame: int) -> None:
-        """Moves the moving meshes to their poses at ``frame``."""
+        """Moves the meshes that move to their poses at ``frame``."""
         if frame == self._frame:
             return
         first, self._frame = self._frame is None, frame
@@ -139,39 +141,121 @@ class Geometry:
         for i, mesh in enumerate(self.meshes):
             if not mesh.moving:
                 continue
-            pose = mesh.object_to_ws(frame) if mesh.deformed is None else _place(mesh, frame)
-            if i in self._poses and np.array_equal(pose, self._poses[i], equal_nan=True):
+            pose = self.poses.at(i, frame)
+            if i in self._shown and np.array_equal(pose, self._shown[i]):
                 continue  # a mover that pauses leaves every map as it was
-            self._poses[i] = pose
-            vertices = (pose if mesh.deformed is not None else _place(mesh, frame)) - self.origin_ws
-            self._boxes[i] = _box(vertices)
+            self._shown[i] = pose
+            vertices = placed_vertices(mesh, frame) - self.origin_ws
+            self._boxes[i] = box_of(vertices)
             region = self._ranges[i]
             part = wp.array(vertices.astype(np.float32), dtype=wp.vec3, device="cpu")
             wp.copy(self.points_ws, part, dest_offset=region.start, count=len(part))
             moved = True
-        if moved and not first:
-            self.version += 1
         if moved:
             self._update_normals()
+            self._noticed = self._find_noticed()
+        resting = self.poses.resting(frame)
+        changed = resting != self.resting
+        if changed:
+            self.resting = resting
+            self._sort_out()
+        if (moved or changed) and not first:
+            self.version += 1
+
+    @property
+    def resting_at(self) -> Hashable:
+        """Which casters rest, and where; comparable."""
+        return tuple((i, self._shown[i].tobytes()) for i in sorted(self.resting) if self.meshes[i].casts)
+
+    def moves(self, mesh: int) -> bool:
+        """Whether a mesh, by its index, moves at the current frame."""
+        return self.meshes[mesh].moving and mesh not in self.resting
+
+    def _range_of(self, mesh: int) -> tuple[int, int]:
+        return int(self._ends[mesh]), int(self._ends[mesh + 1])
+
+    def _sort_out(self) -> None:
+        """What follows from which meshes move: flags, ranges and sets of casters."""
+        numbered = list(enumerate(self.meshes))
+        flags = [CASTS * mesh.casts + RECEIVES * mesh.receives + MOVES * self.moves(i) for i, mesh in numbered]
+        self.mesh_flags = wp.array(np.array(flags, dtype=np.int32), dtype=wp.int32, device=self.device)
+        ranges = [self._range_of(i) for i, _ in numbered if self.moves(i)]
+        self.moving_triangles = wp.array(np.array(ranges, np.int32).reshape(-1, 2), dtype=wp.vec2i, device=self.device)
+        self.casters_move = any(self.moves(i) and mesh.casts for i, mesh in numbered)
+        self.caster_sets = {"all": self.caster_indices, "still": self.caster_indices, "moving": self.caster_indices}
+        self.still_triangles = 0
+        if not self.triangles:
+            return
+        still = sum(end - begin for begin, end in (self._range_of(i) for i, m in numbered if m.casts and not m.moving))
+        kept = [self._range_of(i) for i, mesh in numbered if mesh.casts and mesh.moving and not self.moves(i)]
+        # a slice must not begin at the end, not even an empty one
+        moves = slice(3 * still, 3 * self.caster_triangles) if still < self.caster_triangles else slice(0, 0)
+        self.caster_sets |= {"still": self.indices[: 3 * still], "moving": self.indices[moves]}
+        if kept:
+            of_casters = self.caster_indices.numpy().reshape(-1, 3)
+            rests = np.zeros(len(of_casters), bool)
+            for begin, end in kept:
+                rests[begin:end] = True
+            rests[:still] = True
+            for name, chosen in (("still", rests), ("moving", ~rests)):
+                picked = np.ascontiguousarray(of_casters[chosen].ravel())
+                self.caster_sets[name] = wp.array(picked, dtype=wp.int32, device=self.device)
+        self.still_triangles = len(self.caster_sets["still"]) // 3
+
+    def _find_noticed(self) -> np.ndarray:
+        """Which meshes are around the eye or large enough to be seen, bool (M,); of those that have a box."""
+        out = np.array([box is not None for box in self._boxes], bool)
+        if out.any():
+            boxes = np.array([box for box in self._boxes if box is not None]) + self.origin_ws
+            out[out] = self._eyes.noticed(boxes)
+        return out
 
     def boxes(self, *, moving: bool) -> np.ndarray:
         """Corners of the boxes of the casting meshes that move, or of those that do not, (n, 8, 3), rebased world."""
-        chosen = [b for m, b in zip(self.meshes, self._boxes, strict=True) if m.casts and m.moving == moving]
-        held = [box.corners for box in chosen if not box.empty]
-        return np.array(held).reshape(-1, 8, 3)
+        own = Bounds()
+        for i, box in enumerate(self._boxes):
+            if self.meshes[i].casts and self.moves(i) == moving and box is not None:
+                own.add(box)
+        return own.corners.reshape(-1, 8, 3)
 
-    def bounds(self, *, casters: bool = False, receivers: bool = False, moving: bool | None = None) -> Bounds:
+    @property
+    def mesh_boxes(self) -> np.ndarray:
+        """Low and high corner of each mesh that has a finite vertex, float64 (n, 2, 3), rebased world."""
+        return np.array([box for box in self._boxes if box is not None]).reshape(-1, 2, 3)
+
+    def box(self, mesh: int, frame: int) -> np.ndarray | None:
+        """Low and high corner (2, 3) of a mesh at any frame, rebased world; None where it has no finite vertex."""
+        return box_of(placed_vertices(self.meshes[mesh], frame) - self.origin_ws)
+
+    def bounds(
+        self, *, casters: bool = False, receivers: bool = False, moving: bool | None = None, noticed: bool = False
+    ) -> Bounds:
         """Box of the casting or receiving meshes (or both) at the current frame, rebased world.
 
-        ``moving`` keeps those that move (True) or stand still (False); None both.
+        Args:
+            casters, receivers: Which.
+            moving: Those that move (True) or stand still (False); None both.
+            noticed: Only those that are around the eye or large enough to be seen from it.
         """
-        box = Bounds()
-        for mesh, own in zip(self.meshes, self._boxes, strict=True):
-            if moving is not None and mesh.moving != moving:
+        out = Bounds()
+        for i, (mesh, own) in enumerate(zip(self.meshes, self._boxes, strict=True)):
+            if own is None or (moving is not None and self.moves(i) != moving):
                 continue
-            if ((casters and mesh.casts) or (receivers and mesh.receives)) and not own.empty:
-                box.add(np.stack([own.low, own.high]))
-        return box
+            if ((casters and mesh.casts) or (receivers and mesh.receives)) and (self._noticed[i] or not noticed):
+                out.add(own)
+        return out
+
+    @property
+    def span(self) -> float:
+        """The size of what is around the eye, scene units: what is relative to the scene's size is relative to this.
+
+        The diagonal of what is noticed, but no more than leaves float32 what is seen from near by.
+        """
+        box = self.bounds(casters=True, receivers=True, noticed=True)
+        if box.empty:
+            return 0.0
+        sight = self._eyes.sight(box.low + self.origin_ws, box.high + self.origin_ws)
+        return min(float(np.linalg.norm(box.high - box.low)), 2.0 * PRECISION * sight)
 
     def caster_buffers(self, *, moving: bool) -> tuple[wp.array, wp.array]:
         """The casting triangles of the meshes that move, or of those that stand still.
@@ -179,7 +263,7 @@ class Geometry:
         Returns:
             Vertices, vec3 (V,), a view of ``points_ws`` that follows it, and int32 (3 T,) indices into them.
         """
-        chosen = [i for i, mesh in enumerate(self.meshes) if mesh.casts and mesh.moving == moving and len(mesh.faces)]
+        chosen = [i for i, mesh in enumerate(self.meshes) if mesh.casts and self.moves(i) == moving and len(mesh.faces)]
         if not chosen:
             return self.points_ws, wp.empty(0, dtype=wp.int32, device=self.device)
         region = slice(int(self._ranges[chosen[0]].start), int(self._ranges[chosen[-1]].stop))
@@ -198,18 +282,24 @@ class Geometry:
         )
 
 
-def _box(vertices: np.ndarray) -> Bounds:
-    box = Bounds()
-    box.add(_finite(vertices))
-    return box
+def box_of(vertices: np.ndarray) -> np.ndarray | None:
+    """Low and high corner (2, 3) of vertices (V, 3), of those that are finite; None where none is."""
+    held = vertices[np.isfinite(vertices).all(axis=1)]  # or one broken vertex would take the whole scene with it
+    return np.stack([held.min(axis=0), held.max(axis=0)]) if len(held) else None
 
 
-def _finite(vertices: np.ndarray) -> np.ndarray:
-    return vertices[np.isfinite(vertices).all(axis=1)]
-
-
-def _place(mesh: Mesh, frame: int) -> np.ndarray:
+def placed_vertices(mesh: Mesh, frame: int) -> np.ndarray:
+    """A mesh's vertices at a frame, world space, float64 (V, 3)."""
     pose = mesh.object_to_ws(frame)
     with np.errstate(invalid="ignore"):  # vertices that are not finite stay so, and cast nothing
         placed: np.ndarray = np.asarray(mesh.vertices_at(frame), dtype=np.float64) @ pose[:3, :3].T + pose[:3, 3]
     return placed
+
+
+def _state(mesh: Mesh) -> Callable[[int], np.ndarray]:
+    """What is the same at two frames where the mesh is: its pose; where it changes shape a digest of its vertices."""
+
+    def digest(frame: int) -> np.ndarray:
+        return np.frombuffer(hashlib.sha256(placed_vertices(mesh, frame).tobytes()).digest(), np.uint8)
+
+    return mesh.object_to_ws if mesh.deformed is None else digest

@@ -1,4 +1,4 @@
-"""The stiff cases X1 to X12 (docs/glossary.md), each with levels of rising stiffness; the first is the easy one."""
+"""The stiff cases X1 to X13 (docs/glossary.md), each with levels of rising stiffness; the first is the easy one."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from experiments.kinds.stability.shapes import BODY, EYE, LAMP, casters, floor, 
 from wkernels.scene.model import Mesh, Scene
 
 Level = float | str
+HISTORY_FRAMES = 6
+"""Frames that techniques with a history are given."""
 WARPED: Mapping[str, Any] = {"fit": "focused", "warp": "lispsm_nopt", "splits": 2, "scheme": "log"}
 """Where depth ranges and directions matter, light maps are warped and split: a uniform map would not notice."""
 
@@ -25,12 +27,14 @@ class Setting:
         params: Parameters that a technique is given where it has them.
         projection: Of light maps.
         size: Picture, pixels.
+        walks: Whether the last of ``HISTORY_FRAMES`` frames is judged, after those before it, and not the first.
     """
 
     scene: Scene
     params: Mapping[str, Any] = field(default_factory=dict)
     projection: Mapping[str, Any] | None = None
     size: tuple[int, int] = (64, 48)
+    walks: bool = False
 
 
 @dataclass(frozen=True)
@@ -232,3 +236,50 @@ def contact_light(distance: float, kind: str) -> Setting:
     """A plate that hides half of the light from below rises to it: z_b to 0. For directions it rises just as well."""
     plate = slab("plate", (5.0, LAMP[1] - distance - 1e-3, 0.0), (10.0, 2e-3, 10.0))
     return Setting(scene_of([floor(), plate, *casters()[1:]], lamp(kind)))
+
+
+@_case("distance of one more object; 0: none", "X13", (0.0, 1e3, 1e6, 1e9, 1e12))
+def far_object(distance: float, kind: str) -> Setting:
+    """A box so far away that nothing is seen of it: whatever is relative to the scene's size would grow with it."""
+    full = _plain(kind)
+    if distance == 0.0:
+        return Setting(full)
+    box = replace(slab("far", distance * np.array((0.9, 0.1, -0.4)), (1.0, 1.0, 1.0)), receives=True)
+    return Setting(replace(full, meshes=(*full.meshes, box)))
+
+
+@_case("extent of the ground, the eye at its middle", "X13", (12.0, 1e3, 1e4, 1e5, 1e6))
+def ground_extent(size: float, kind: str) -> Setting:
+    """A ground that goes on far beyond what is seen."""
+    return Setting(scene_of([floor(size), *casters()], lamp(kind)), projection=WARPED)
+
+
+@_case("extent of the ground, the eye at its corner", "X13", (12.0, 1e3, 1e4, 1e5, 1e6))
+def ground_corner(size: float, kind: str) -> Setting:
+    """The same where the middle of the scene is far away."""
+    ground = floor(size)
+    ground = replace(ground, vertices=ground.vertices + 0.5 * (size - 12.0) * np.array((1.0, 0.0, -1.0)))
+    return Setting(scene_of([ground, *casters()], lamp(kind)), projection=WARPED)
+
+
+@_case("how far a caster goes away", "X13", (20.0, 1e3, 1e6, 1e12))
+def mover_leaves(distance: float, kind: str) -> Setting:
+    """It stands before the eye at frame 0 and leaves; the others' shadows stay."""
+
+    def pose(frame: int) -> np.ndarray:
+        out = np.eye(4)
+        out[0, 3] = distance * min(frame / (HISTORY_FRAMES - 1.0), 1.0) ** 3
+        return out
+
+    plate = replace(slab("mover", (2.4, 1.6, 1.4), (1.4, 0.2, 1.4)), object_to_ws=pose, moving=True)
+    full = _plain(kind)
+    return Setting(replace(full, meshes=(*full.meshes, plate)), walks=True)
+
+
+@_case("length of the meshes' unit, undone by their poses", "X13", (1.0, 1e-6, 1e-3, 1e3, 1e6, 1e9))
+def mesh_units(factor: float, kind: str) -> Setting:
+    """The same scene from vertices in other units."""
+    back = np.diag([1.0 / factor] * 3 + [1.0])
+    full = _plain(kind)
+    meshes = [replace(mesh, vertices=mesh.vertices * factor, object_to_ws=lambda frame: back) for mesh in full.meshes]
+    return Setting(replace(full, meshes=tuple(meshes)))

@@ -8,7 +8,7 @@ from typing import Any
 from algorithms.plugins import find
 from algorithms.projections.composition import compose
 from algorithms.technique import Technique
-from experiments.kinds.stability.cases import CASES, Case, Level, Setting
+from experiments.kinds.stability.cases import CASES, HISTORY_FRAMES, Case, Level, Setting
 from experiments.kinds.stability.judge import Truth, Verdict, judge
 from experiments.kinds.stability.shapes import LIGHT_KINDS
 from experiments.results.tables import Row, cell
@@ -19,7 +19,6 @@ from wkernels.scene.geometry import Geometry
 COLUMNS = ("technique", "case", "level", "status", "detail")
 SMALL: Mapping[str, int] = {"resolution": 512, "samples": 16}  # shared parameters that cost time
 TRUTH_SAMPLES, TRUTH_SEED = 256, 7
-HISTORY_FRAMES = 6
 
 
 def light_kind_of(technique: type[Technique]) -> str:
@@ -139,8 +138,9 @@ class Stage:
             projection=compose(self.setting.projection),
             skips=self.skips,
         )
-        for _ in range(HISTORY_FRAMES if technique.needs.history else 1):
-            session.begin(0)
+        frames = range(HISTORY_FRAMES) if self.setting.walks else [0] * HISTORY_FRAMES
+        for index in frames if technique.needs.history else frames[-1:]:
+            session.begin(index)
             result = session.render(technique)
             session.advance()
         return result

@@ -20,10 +20,12 @@ from experiments.scenes.importing.schema import ImportingSceneFile
 from experiments.scenes.meshes.reading import MeshError
 from experiments.scenes.place import FreeNames, Place
 from experiments.scenes.poses import SampledPose, StaticPose
+from experiments.scenes.sight import depth_planes
 from wkernels.errors import nearest
 from wkernels.scene.light_motion import transformed
 from wkernels.scene.lights import DirectionalLight, DiscLight, Light, PointLight, SphereLight
 from wkernels.scene.model import Mesh
+from wkernels.scene.origin import looked_at
 
 FORMATS = {
     **dict.fromkeys((".glb", ".gltf"), "gltf"),
@@ -31,7 +33,6 @@ FORMATS = {
     ".xml": "mitsuba",
 }
 _UNEVEN = 1e-6  # relative difference of scales along axes that says that a disc or sphere is none any more
-_DEPTHS = 1e5  # far over near, where a file has a far plane and no near one
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,8 +166,10 @@ def _light(one: Any, scene: ImportedScene, options: ImportingSceneFile, tell: An
     return replace(light, motion=sampled) if sampled.moving else transformed(light, pose[0])
 
 
-def imported_camera(options: ImportingSceneFile, imported: Imported, place: Place) -> tuple[CameraPath, int]:
-    """The camera of a scene that imports a file, and the number of its frames.
+def imported_camera(
+    options: ImportingSceneFile, imported: Imported, meshes: Sequence[Mesh], place: Place
+) -> tuple[CameraPath, int]:
+    """The camera of a scene of ``meshes`` that imports a file, and the number of its frames.
 
     Raises:
         InputError: There is no such camera, or none at all, or its keys do not go together.
@@ -182,68 +185,46 @@ def imported_camera(options: ImportingSceneFile, imported: Imported, place: Plac
             raise at.error(f"the file has no camera '{options.camera}'." + nearest(options.camera, names))
         chosen = cameras[names.index(options.camera)]
     placed = keys.eye is not None or keys.target is not None or options.path is not None
-    if chosen is None:
-        if not placed:
-            raise at.error("is required: the file has no camera.")
-        path, frames = camera_path(keys, options.path, place)
-    elif placed:
-        path, frames = camera_path(_lens(chosen, keys, imported, at), options.path, place)
+    if chosen is None and not placed:
+        raise at.error("is required: the file has no camera.")
+    lens = keys if chosen is None else _lens(chosen, keys, imported, at)
+    if placed or chosen is None:
+        path, frames = camera_path(lens, options.path, meshes, place)
     else:
-        path, frames = _path(chosen, keys, imported, at), 1
-        check_lens(path.options, at)
+        check_lens(lens, at)
+        path, frames = _path(chosen, lens, imported, meshes), 1
     return path, max(frames, imported.scene.frames) if options.path is None else frames
 
 
 def _lens(camera: ImportedCamera, keys: schema.CameraOptions, imported: Imported, at: Place) -> schema.CameraOptions:
     """The file's lens and clipping planes, with what the scene file says in place of them."""
     unit = float(np.cbrt(abs(np.linalg.det(imported.scene.to_scene[:3, :3]))))
-    out: dict[str, Any] = {}
-    if camera.fov_deg is None:
-        out |= {"projection": "orthographic", "height": unit * float(camera.height or 0.0)}
-    else:
-        out["fov_deg"] = camera.fov_deg
-    out["far"] = unit * camera.far if camera.far else _reach(camera, imported)
-    out["near"] = unit * camera.near if camera.near else out["far"] / _DEPTHS
+    planes = {"near": camera.near, "far": camera.far}  # a plane at 0, as orthographic cameras may have, is none
+    out: dict[str, Any] = {key: unit * value for key, value in planes.items() if value}
     given = keys.model_fields_set
-    if "projection" in given and keys.projection != out.get("projection", "perspective"):
-        out = {key: out[key] for key in ("near", "far")}
-    elif "fov_deg" in given and "height" in out:
-        out = {key: out[key] for key in ("near", "far")}
+    changed = "projection" in given and keys.projection != ("orthographic" if camera.fov_deg is None else "perspective")
+    if camera.fov_deg is None and not changed:
+        out |= {"projection": "orthographic", "height": unit * float(camera.height or 0.0)}
+    elif camera.fov_deg is not None and not changed:
+        out["fov_deg"] = camera.fov_deg
     try:
         return schema.CameraOptions.model_validate({**out, **{key: getattr(keys, key) for key in given}})
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise at.error(
-            f"{where} of the file's camera '{camera.name}' cannot be used: {first['msg'].lower()}."
-        ) from None
+        message = f"{where} of the file's camera '{camera.name}' cannot be used: {first['msg'].lower()}."
+        raise at.error(message) from None
 
 
-def _reach(camera: ImportedCamera, imported: Imported) -> float:
-    """How far the farthest corner of a mesh's box is from the camera, a little more: a far plane that hides nothing."""
-    eyes = (imported.scene.to_scene @ camera.pose)[:, :3, 3]
-    farthest = 0.0
-    for mesh in imported.meshes:
-        box = np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)])
-        middle, radius = box.mean(axis=0), 0.5 * float(np.linalg.norm(box[1] - box[0]))
-        for frame in range(imported.scene.frames if mesh.moving else 1):
-            pose = mesh.object_to_ws(frame)
-            scale = float(np.linalg.norm(pose[:3, :3], 2))
-            away = np.linalg.norm(eyes - (pose[:3, :3] @ middle + pose[:3, 3]), axis=1).max()
-            farthest = max(farthest, float(away) + scale * radius)
-    return 1.1 * farthest or 1000.0
-
-
-def _path(camera: ImportedCamera, keys: schema.CameraOptions, imported: Imported, at: Place) -> CameraPath:
+def _path(camera: ImportedCamera, lens: schema.CameraOptions, imported: Imported, meshes: Sequence[Mesh]) -> CameraPath:
     """The path of a camera of the file, which may turn about its own axis."""
     pose = imported.scene.to_scene @ camera.pose
     axes = pose[:, :3, :3] / np.linalg.norm(pose[:, :3, :3], axis=1, keepdims=True)
     rows = np.concatenate([pose[:, :3, 3], pose[:, :3, 3] - axes[:, :, 2]], axis=1)
-    ups = axes[:, :, 1] if "up" not in keys.model_fields_set else np.tile(np.array(keys.up), (len(pose), 1))
+    ups = np.tile(np.array(lens.up), (len(pose), 1)) if "up" in lens.model_fields_set else axes[:, :, 1]
 
     def held(values: np.ndarray, frame: np.ndarray) -> np.ndarray:
         return values[np.clip(frame.astype(np.int64), 0, len(values) - 1)]
 
-    return CameraPath(
-        lambda frame: held(rows, frame), _lens(camera, keys, imported, at), lambda frame: held(ups, frame)
-    )
+    near, far = depth_planes(meshes, rows[looked_at(len(rows)), :3], lens.near, lens.far)
+    return CameraPath(lambda frame: held(rows, frame), lens, near, far, lambda frame: held(ups, frame))

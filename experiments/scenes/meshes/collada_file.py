@@ -15,7 +15,6 @@ from experiments.scenes.meshes.polygons import triangulate, triangulate_loops
 from experiments.scenes.meshes.reading import MeshError, Parts, Tell, check_indices, one_line
 from experiments.scenes.primitives import Triangles
 
-
 _WITHOUT_GEOMETRY = ("image", "texture", "sampler", "surface", "material", "effect", "camera", "light", "animation")
 """Words of errors that leave the geometry whole."""
 

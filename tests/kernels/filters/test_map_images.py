@@ -27,7 +27,7 @@ from wkernels.filters.map_images import (
     texels_round_run,
 )
 from wkernels.filters.mips import find_mips, level_of_width, pull_mips, sample_trilinear
-from wkernels.filters.moments import FIND_MOMENTS, Chebyshev
+from wkernels.filters.moments import FIND_MOMENTS
 from wkernels.filters.summed_area import box_mean
 from wkernels.filters.texels import DOUBLE, components
 from wkernels.light_maps.light_map import LightMap, depths_on_host
@@ -81,13 +81,12 @@ def test_lanes_fill_what_the_plain_kernel_fills(
     case: str, resolution: int, device: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     light, projection = MAPS[case]
-    running, chebyshev, found = session(light, device, **projection), Chebyshev(), []
+    running, found = session(light, device, **projection), []
     light_map = running.light_map(resolution)
-    chebyshev.near, chebyshev.per_length = 1.0, 0.1
     for lanes in (False, True):
         monkeypatch.setattr(twin, "uses_lanes", lambda device, lanes=lanes: lanes)
         image = new_image(running, light_map.layout, wp.vec2, None)
-        fill_image(running, FIND_MOMENTS, light_map, [chebyshev, 0], image)
+        fill_image(running, FIND_MOMENTS, light_map, [wp.vec2(1.0, 0.1), 0], image)
         found.append(on_host(image))
     np.testing.assert_allclose(found[1], found[0], atol=1e-6)
     depth = np.minimum((depths_on_host(light_map.map).astype(float) - 1.0) * 0.1, 1.0) - 0.5

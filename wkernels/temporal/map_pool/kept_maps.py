@@ -58,8 +58,8 @@ class KeptMaps:
         self.maps: int
         self.pool: MapPool
         self.points: np.ndarray  # of the light, by slot, float64 (maps, 4)
-        casters = frame.geometry.caster_buffers(moving=False)
-        self._painter = PoolPainter(casters, resolution, frame.device, frame.threads, frame.skips)
+        self.restarted = False  # whether the pool was ever filled of other casters
+        self._painter = self._paint(frame)
         self._movers: np.ndarray | None = None  # a box of where receivers that move have been, and may soon be
         self._start: int  # frame count from which on the pool is filled
         self._epoch: int  # the same of when it is drawn again, as a mover has left its maps
@@ -67,6 +67,19 @@ class KeptMaps:
         self._begun: tuple[int, list[HostView]]  # the map that was drawn last, whose other layers may follow
         self._taken: tuple[int, range]  # frame count of when new points of the light were last taken, and which
         self._hold(frame, 1)
+
+    def _paint(self, frame: Session) -> PoolPainter:
+        """What draws the casters that stand still now."""
+        self._resting = frame.geometry.resting_at
+        casters = frame.geometry.caster_buffers(moving=False)
+        return PoolPainter(casters, self.resolution, frame.device, frame.threads, frame.skips)
+
+    def follow(self, frame: Session) -> None:
+        """Begins the pool anew where a caster has come to rest, or has left it."""
+        if self._resting != frame.geometry.resting_at:
+            self._painter = self._paint(frame)
+            self.restarted = True
+            self._hold(frame, self.pool.slots)
 
     def _hold(self, frame: Session, layers: int) -> None:
         """Makes room for maps of so many layers; what was drawn before is lost."""
@@ -83,8 +96,8 @@ class KeptMaps:
         Where a mover leaves its box, that grows by half its size more than it must, but not beyond the scene.
         """
         geometry = frame.geometry
-        still = geometry.bounds(receivers=True, moving=False)
-        now = geometry.bounds(receivers=True, moving=True)
+        still = geometry.bounds(receivers=True, moving=False, noticed=True)
+        now = geometry.bounds(receivers=True, moving=True, noticed=True)
         if now.empty:
             if still.empty:
                 still = geometry.bounds(casters=True)
@@ -141,7 +154,7 @@ class KeptMaps:
             head = filled if added else since * tests % filled + 1
             return Schedule(_layers_between(begin, end, slots), added, filled, head, True, False)
 
-        now = frame.geometry.bounds(receivers=True, moving=True)
+        now = frame.geometry.bounds(receivers=True, moving=True, noticed=True)
         again = -(-self.maps // whole)  # frames to draw all maps anew
         if not now.empty and frame.count - self._epoch >= again and not self._holds(now.corners):
             self._epoch = frame.count
@@ -166,7 +179,7 @@ class KeptMaps:
         """
         if not draws:
             return True
-        receivers, casters = self._receivers(frame), frame.geometry.bounds(casters=True, moving=False)
+        receivers = self._receivers(frame)
         for index, layers in draws:
             # the first ones as one product: they are asked for in as many frames as it takes to draw them
             begins = index < self.maps
@@ -174,6 +187,7 @@ class KeptMaps:
             at = index if begins else 0
             light_ws, weight, slot = samples.host[at], float(samples.weights_host[at]), index % self.maps
             if layers.start == 0:
+                casters = frame.casters_towards(light_ws, moving=False)
                 self._begun = index, frame.look_from_light(light_ws, receivers, casters, self.resolution)
             views = self._begun[1]
             if len(views) > self.pool.slots:

@@ -15,11 +15,10 @@ from wkernels.frame.session import Session
 from wkernels.projections.light_views import scene_views
 from wkernels.raster import Rasteriser
 from wkernels.scene.geometry import Bounds
-from wkernels.scene.lights import Light, orthonormal_frame
+from wkernels.scene.lights import orthonormal_frame
 from wkernels.scene.views import HostView, View
 from wkernels.temporal.map_pool.drawing import PoolPainter, store_layers
 from wkernels.temporal.map_pool.pool import CONSTANTS, MapPool, allocate_pool, layer_constants
-from wkernels.temporal.map_pool.update import MoverReach
 
 MAX_SIDE = 8192  # of an image
 CLOSEST = 0.05  # a light nearer to the box than this share of its farthest corner's depth has no one view of it
@@ -117,6 +116,7 @@ class MoverMaps:
 
     def __init__(self, frame: Session, maps: int, resolution: int) -> None:
         self.device, self.threads, self.resolution = frame.device, frame.threads, resolution
+        self.resting = frame.geometry.resting  # with it the movers change
         self.points, self.indices = frame.geometry.caster_buffers(moving=True)
         self.pool = allocate_pool(maps, 1, resolution, frame.device)
         self._rasteriser = Rasteriser(frame.device, frame.threads)
@@ -177,21 +177,6 @@ class MoverMaps:
             shape = (rows * self.resolution, self._columns * self.resolution)
             self._copied = count, points, indices, wp.empty(shape, dtype=float, device=self.device)
         return self._copied[1:]
-
-
-def mover_reach(light: Light, box: Bounds) -> MoverReach:
-    """Balls round the movers, whose boxes these are, and round the light."""
-    out = MoverReach()
-    low, high = box.low, box.high
-    out.centre_ws, out.radius = wp.vec3(*(0.5 * (low + high))), 0.5 * float(np.linalg.norm(high - low))
-    centre, hull = light.centre, light.hull
-    out.light_ws = wp.vec4(*centre)
-    if light.is_directional:
-        cosines = hull[:, :3] @ centre[:3] / np.linalg.norm(hull[:, :3], axis=1) / np.linalg.norm(centre[:3])
-        out.spread = float(np.tan(np.arccos(np.clip(cosines.min(), 1e-3, 1.0))))
-    else:
-        out.spread = float(np.linalg.norm(hull[:, :3] - centre[:3], axis=1).max())
-    return out
 
 
 def _image_view(width: int, height: int, far: float) -> View:

@@ -13,6 +13,7 @@ from wkernels.scene.geometry import CASTS, MOVES, RECEIVES
 from wkernels.scene.views import View
 from wkernels.temporal.map_pool.carried_history import CarriedSums, encode_offset, fetch_sums
 from wkernels.temporal.map_pool.pool import MapPool, map_test
+from wkernels.temporal.reach import MoverReach, may_reach
 
 PRIOR = wp.constant(0.5)  # tests of either outcome that the standard error takes for granted (Jeffreys' prior)
 BORDER = wp.constant(0.7)  # of ``hidden_variance``; measured, docs/tc_adaptive.md
@@ -32,35 +33,6 @@ class PoolSteps:
     clip: float  # standard errors of this frame's tests that history may differ by; 0: any
     has_history: int
     depth_epsilon: float  # scene units
-
-
-@wp.struct
-class MoverReach:
-    """A ball round the movers, and a ball or cone round the light: what bounds where their shadows fall."""
-
-    centre_ws: wp.vec3
-    radius: float
-    light_ws: wp.vec4  # the light's centre
-    spread: float  # how far off that its points lie, scene units; of a direction the tangent of its largest angle
-
-
-@wp.func
-def may_reach(reach: MoverReach, position_ws: wp.vec3) -> bool:
-    """Whether the movers may hide some of the light from a point; never false where they do.
-
-    The way to a point of the light leaves that to its centre by at most ``spread`` at its end, and in proportion
-    before. It meets the ball no farther along than the ball's centre, its radius and the spread together allow.
-    """
-    way = wp.vec3(reach.light_ws[0], reach.light_ws[1], reach.light_ws[2]) - position_ws * reach.light_ws[3]
-    length = wp.max(wp.length(way), 1.0e-20)
-    to_ball = reach.centre_ws - position_ws
-    along = wp.max(wp.dot(to_ball, way) / length, 0.0)
-    aside = wp.length(to_ball - way * (along / length))
-    slack = reach.radius + reach.spread
-    widest = reach.spread * wp.min((along + slack) / length, 1.0)
-    if reach.light_ws[3] == 0.0:
-        widest = reach.spread * 2.0 * (along + reach.radius)
-    return aside <= 1.001 * (reach.radius + widest)
 
 
 @wp.func

@@ -17,13 +17,13 @@ from wkernels.temporal.map_pool.pool import MapPool
 from wkernels.temporal.map_pool.update import (
     BORDER,
     PRIOR,
-    MoverReach,
     PoolSteps,
     add_movers,
     hidden_variance,
     map_at,
     update_sums,
 )
+from wkernels.temporal.reach import MoverReach
 from wkernels.temporal.reprojection_lanes import depths_on_planes, reproject_run
 
 

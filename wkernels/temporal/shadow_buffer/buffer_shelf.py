@@ -8,7 +8,7 @@ docs/parts.md has what they are worth.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -140,7 +140,7 @@ class BufferShelf:
         points: Probes of each slot in use, ``PROBES``.
         anchor: Probes of the first frame since a buffer was put aside last; how much of them is still seen tells how
             far the eye has come.
-        lights: Whose tests all sums are of.
+        sums_of: Whose tests all sums are of: lights, and casters at rest; comparable.
         leaving: What the last frame decided to put aside.
         decided: Count of the frame that decided last.
     """
@@ -149,7 +149,7 @@ class BufferShelf:
     views: list[View] = field(default_factory=list)
     points: list[wp.array] = field(default_factory=list)
     anchor: wp.array | None = None
-    lights: tuple[Light, ...] = ()
+    sums_of: Hashable = ()
     leaving: PutAside | None = None
     decided: int = -1
 
@@ -171,12 +171,12 @@ class BufferShelf:
         return slot if knowledge >= known[slot] else None
 
 
-def pull_shelf(work: Workspace, lights: Sequence[Light]) -> BufferShelf:
-    """What earlier frames have put aside; nothing once one of the lights that its sums are of has changed."""
-    sums_of = tuple(lights)  # one that moves becomes another
+def pull_shelf(work: Workspace, lights: Sequence[Light], resting: Hashable = ()) -> BufferShelf:
+    """What earlier frames have put aside; nothing once a light has changed, or a caster comes to rest or leaves it."""
+    sums_of = (*lights, resting)  # a light that moves becomes another
 
     def build(old: BufferShelf | None) -> BufferShelf:
-        return old if old is not None and old.lights == sums_of else BufferShelf(lights=sums_of)
+        return old if old is not None and old.sums_of == sums_of else BufferShelf(sums_of=sums_of)
 
     shelf: BufferShelf = work.product("kept views", "kept views", (work.count, sums_of), build)
     return shelf

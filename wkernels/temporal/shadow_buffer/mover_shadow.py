@@ -166,8 +166,7 @@ def hide_behind_movers_lanes(
 
 def needs_own_map(frame: Session) -> bool:
     """Whether there are movers to keep out of the light samples' maps, or nothing may be left out."""
-    moves = frame.geometry.still_triangles < frame.geometry.caster_triangles
-    return moves or not frame.leave_out(MoverMap.NO_MOVERS)
+    return frame.geometry.casters_move or not frame.leave_out(MoverMap.NO_MOVERS)
 
 
 def mover_regions(frame: Session, light_map: LightMap) -> np.ndarray:

@@ -16,6 +16,7 @@ from wkernels.frame.history import History
 from wkernels.frame.session import Session
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.scene.light_motion import own_width
+from wkernels.temporal.forgetting import forget_changes
 from wkernels.temporal.shadow_buffer.buffer_shelf import BufferShelf, fill_shelf, keep_buffer, pull_shelf
 from wkernels.temporal.shadow_buffer.many_lights import JOIN, LightTurn, light_turns, seen_lights
 from wkernels.temporal.shadow_buffer.record import TEXEL_TYPES
@@ -82,9 +83,11 @@ def begin_step(
     )
     frame.standard_error = error = frame.buffer("standard error", shape, wp.float32)
     seen = seen_lights(frame, lights)
-    shelf = pull_shelf(frame, [frame.lights.lights[i] for i in seen]) if keeps_buffers else None
+    sources = [frame.lights.lights[i] for i in seen]
+    shelf = pull_shelf(frame, sources, frame.geometry.resting_at) if keeps_buffers else None
     if shelf is not None:
         fill_shelf(frame, shelf, history)
+    forget_changes(frame, history, sources)
     return ShadowStep(
         gbuffer=gbuffer,
         history=history,
