@@ -9,6 +9,7 @@ import tempfile
 import traceback
 import warnings
 from pathlib import Path
+from typing import TextIO
 
 from wkernels import __version__
 from wkernels.errors import InputError
@@ -40,7 +41,14 @@ def show_warnings_once() -> None:
     """From here on a warning is one line on stderr, without the place in our code, and the same words come once."""
     shown: set[str] = set()
 
-    def show(message: Warning | str, category: type[Warning], *_: object) -> None:
+    def show(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
         text = f"warning: {message}" if issubclass(category, UserWarning) else f"{category.__name__}: {message}"
         if text not in shown:
             shown.add(text)

@@ -64,6 +64,8 @@ def read_triangles(name: str, place: Place) -> Triangles:
     if not len(faces):
         raise place.error(f"'{path}' has no triangles.")
     finite = np.all(np.isfinite(vertices), axis=1)
+    if not finite.any():
+        raise place.error(f"'{path}' has no finite vertices.")
     good = np.all(finite[faces], axis=1)
     if not good.any():
         raise place.error(f"'{path}' has no triangle with finite vertices only.")
@@ -86,9 +88,12 @@ def _warp_assets() -> Path:
 
 def _weld(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
     """Merges vertices that are equal to the last bit and drops unused ones; keeps the order of first use."""
-    used = vertices[faces.ravel()] + 0.0  # -0.0 equals 0.0
-    _, first, inverse = np.unique(used, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first)
+    corners = faces.ravel()
+    used, first, own = np.unique(corners, return_index=True, return_inverse=True)
+    _, same = np.unique(vertices[used] + 0.0, axis=0, return_inverse=True)  # -0.0 equals 0.0
+    first_use = np.full(same.max() + 1, len(corners))
+    np.minimum.at(first_use, same.ravel(), first)
+    order = np.argsort(first_use)
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
-    return used[first[order]], rank[inverse.ravel()].reshape(-1, 3).astype(np.int32)
+    return vertices[corners[first_use[order]]] + 0.0, rank[same.ravel()[own]].reshape(-1, 3).astype(np.int32)

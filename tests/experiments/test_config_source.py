@@ -104,6 +104,7 @@ def test_further_mistakes_are_counted() -> None:
         ("? [1]\n: 2", "f.yaml:1: a key must be a word"),
         ("a: 1\nb: \x01", "f.yaml:2: is not valid YAML: special characters"),
         ("[" * 5000, "f.yaml: is nested too deeply."),
+        ("[" * 100_000 + "]" * 100_000, "f.yaml: is nested too deeply."),  # libyaml's composer would end the process
     ],
 )
 def test_unreadable_yaml(text: str, expected: str) -> None:

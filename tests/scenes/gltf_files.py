@@ -48,6 +48,16 @@ class GltfFile:
             },
         )
 
+    def bytes_of(self, data: bytes) -> dict[str, int]:
+        """Place of further bytes in the buffer, as a buffer view has it."""
+        place = {"byteOffset": len(self._bytes), "byteLength": len(data)}
+        self._bytes += data
+        return place
+
+    def blank(self, count: int) -> None:
+        """Overwrites the first bytes of the buffer."""
+        self._bytes = b"\xee" * count + self._bytes[count:]
+
     def mesh(self, vertices: Any, faces: Any, **more: Any) -> int:
         """Index of a mesh of one primitive."""
         attributes = {"POSITION": self.accessor(vertices), **more.pop("attributes", {})}

@@ -160,7 +160,7 @@ def test_faces_that_are_holes_are_not_drawn(tmp_path: Path):
             ' uniform token[] xformOpOrder = ["xformOp:scale"]\n }',
             r"the transform of /a is not finite",
         ),
-        ('def Sphere "a" { double radius = inf\n}', r"Sphere /a has"),
+        ('def Sphere "a" { double radius = inf\n}', r"Sphere /a has a size without a shape: radius inf"),
         ("def nonsense {", r"cannot be read"),
         (
             f'def PointInstancer "p" {{ rel prototypes = [</p/q>]\n int[] protoIndices = [1]\n point3f[] positions = [(0,0,0)]\n'
@@ -172,3 +172,11 @@ def test_faces_that_are_holes_are_not_drawn(tmp_path: Path):
 def test_what_is_wrong_with_a_stage_is_named(tmp_path: Path, text: str, message: str):
     with pytest.raises(InputError, match=rf"a\.usda'.*{message}"):
         stage(tmp_path, text)
+
+
+@pytest.mark.parametrize("text", ["# Grüße\n", '( doc = "Grüße" )\n', ""], ids=["comment", "doc", "byte order mark"])
+def test_text_in_other_encodings_is_read_with_its_references(tmp_path: Path, text: str):
+    written(tmp_path, "other.usda", f'#usda 1.0\n( defaultPrim = "a" )\ndef Mesh "a" {{ {QUAD} }}')
+    stage_text = f'#usda 1.0\n{text}def "b" ( references = @./other.usda@ ) {{ }}\n'
+    data = stage_text.encode("latin-1") if text else b"\xef\xbb\xbf" + stage_text.encode()
+    assert len(read(written(tmp_path, "a.usda", data))[1]) == 2

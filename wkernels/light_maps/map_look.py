@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from wkernels.light_maps.light_map import BY_DEPTH, BY_MARGIN, FIRST_INSIDE, LightMap
-from wkernels.light_maps.storage import MapLayout
+from wkernels.light_maps.storage import MapLayout, begins_on_device
 from wkernels.scene.views import HostView, ProjectiveView
 
 
@@ -41,7 +41,7 @@ class MapLook:
         """The struct of a map with these views, whose depths (texels,) lie as ``layout`` says."""
         device, out = depth.device, LightMap()
         out.depth, out.pitch, out.resolution = depth, layout.pitch, layout.resolution
-        out.layer_begin = wp.array(np.array(layout.begin, dtype=np.int32), dtype=int, device=device)
+        out.layer_begin = begins_on_device(layout, str(device))
         out.ws_to_ls = wp.array(self.ws_to_ls, dtype=wp.mat44, device=device)
         out.right_ws = wp.array(self.right_ws, dtype=wp.vec3, device=device)
         out.up_ws = wp.array(self.up_ws, dtype=wp.vec3, device=device)

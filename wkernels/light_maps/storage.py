@@ -102,6 +102,12 @@ def lay_out(storage: str, layers: int, resolution: int) -> MapLayout:
     return MapLayout(tuple(i * size for i in range(layers)), resolution, (places or layers) * size, resolution)
 
 
+@lru_cache(maxsize=64)
+def begins_on_device(layout: MapLayout, device: str) -> wp.array:
+    """``layout.begin`` for kernels, int32 (layers,); made once, as an array costs as much as many a small launch."""
+    return wp.array(np.array(layout.begin, dtype=np.int32), dtype=int, device=device)
+
+
 def allocate(layout: MapLayout, dtype: type, device: str) -> wp.array:
     """Memory (texels,) of a map, from a page's begin on; its content is undefined."""
     size = wp.types.type_size_in_bytes(dtype)

@@ -9,4 +9,4 @@ TO_Y_UP = {
     "Y": np.eye(3),
     "Z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
 }
-"""Rotations of a file's axes into ours, y up, by the name of its up axis (COLLADA 1.4.1, ``up_axis``; USD has Y and Z)."""
+"""Rotations of a file's axes into ours by its up axis (COLLADA 1.4.1, ``up_axis``; USD has Y and Z)."""

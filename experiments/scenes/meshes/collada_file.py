@@ -31,11 +31,11 @@ def read(path: Path, tell: Tell) -> Triangles:
             document = collada.Collada(str(path), ignore=[collada.common.DaeError])
     except Exception as error:  # of pycollada and of the XML parser below it
         raise MeshError(f"cannot be read: {one_line(error)}.") from None
-    for error in document.errors:
-        broken = not isinstance(error, collada.common.DaeUnsupportedError)
-        if broken and not any(word in str(error).lower() for word in _WITHOUT_GEOMETRY):
-            raise MeshError(f"cannot be read: {one_line(error)}.")
-        tell(f"left out: {one_line(error)}.")
+    for fault in document.errors:
+        broken = not isinstance(fault, collada.common.DaeUnsupportedError)
+        if broken and not any(word in str(fault).lower() for word in _WITHOUT_GEOMETRY):
+            raise MeshError(f"cannot be read: {one_line(fault)}.")
+        tell(f"left out: {one_line(fault)}.")
     if document.scene is None:
         raise MeshError("has no scene.")
     turn, up = np.eye(4), str(document.assetInfo.upaxis or "Y_UP")[0]

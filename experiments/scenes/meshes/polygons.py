@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import mapbox_earcut
 import numpy as np
 
@@ -58,39 +60,29 @@ def triangulate_loops(vertices: np.ndarray, loops: list[np.ndarray]) -> np.ndarr
 
 def _with_all_corners(faces: np.ndarray, flat: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Puts corners on straight edges, which ear clipping drops, back: without them edges of neighbours do not meet."""
-    missing = np.setdiff1d(np.arange(len(flat)), faces)
-    if not len(missing):
+    used = np.zeros(len(flat), bool)
+    used[faces] = True
+    if used.all():
         return faces
-    split: list[tuple[int, ...]] = [tuple(int(corner) for corner in face) for face in faces]
-    used = set(faces.ravel().tolist())
-    begin = 0
-    for end in ends.tolist():
-        ring = range(begin, end)
-        for corner in ring:
-            if corner in used:
-                continue
-            before = _neighbour(ring, corner, -1, used)
-            after = _neighbour(ring, corner, 1, used)
-            if before is None or after is None or np.any(np.all(flat[[before, after]] == flat[corner], axis=1)):
-                continue
-            for at, (a, b, c) in enumerate(split):
-                for x, y, z in ((a, b, c), (b, c, a), (c, a, b)):
-                    if {x, y} == {before, after}:
-                        split[at : at + 1] = [(x, corner, z), (corner, y, z)]
-                        used.add(corner)
-                        break
-                if corner in used:
-                    break
-        begin = end
+    split = faces.tolist()
+    face_of = {frozenset(edge): i for i, (a, b, c) in enumerate(split) for edge in ((a, b), (b, c), (c, a))}
+    for begin, end in itertools.pairwise([0, *ends.tolist()]):
+        kept = np.flatnonzero(used[begin:end]) + begin
+        for before, after in zip(kept.tolist(), np.roll(kept, -1).tolist(), strict=True):
+            between = range(before + 1, after) if before < after else [*range(before + 1, end), *range(begin, after)]
+            for corner in between:
+                at = face_of.get(frozenset((before, after)))
+                if at is None or np.any(np.all(flat[[before, after]] == flat[corner], axis=1)):
+                    continue
+                x, y, z = split[at]
+                while {x, y} != {before, after}:
+                    x, y, z = y, z, x
+                split[at] = [x, corner, z]
+                split.append([corner, y, z])
+                face_of |= {frozenset((x, corner)): at, frozenset((corner, z)): at, frozenset((x, z)): at}
+                face_of |= {frozenset((corner, y)): len(split) - 1, frozenset((y, z)): len(split) - 1}
+                before = corner
     return np.array(split, np.int64)
-
-
-def _neighbour(ring: range, corner: int, step: int, used: set[int]) -> int | None:
-    for i in range(1, len(ring)):
-        at = ring[(corner - ring[0] + step * i) % len(ring)]
-        if at in used:
-            return at
-    return None
 
 
 def _fans(first: np.ndarray, triangles: np.ndarray, owner: np.ndarray, indices: np.ndarray) -> np.ndarray:
@@ -125,7 +117,7 @@ def _scaled(points: np.ndarray) -> np.ndarray:
 
 
 def _newell(points: np.ndarray) -> np.ndarray:
-    """Normal (P, 3) of polygons (P, n, 3), twice their area long (Newell's method, for corners not quite in a plane)."""
+    """Normal (P, 3) of polygons (P, n, 3), twice their area long (Newell's: corners may leave the plane a little)."""
     with np.errstate(invalid="ignore"):
         normal: np.ndarray = np.cross(points, np.roll(points, -1, axis=1)).sum(axis=1)
     return normal

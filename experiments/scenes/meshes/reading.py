@@ -135,6 +135,10 @@ def shown(word: bytes) -> str:
     return repr(word[:40].decode("latin-1"))
 
 
-def one_line(error: BaseException) -> str:
+def one_line(error: object) -> str:
     """The message of a foreign error, short and without line breaks."""
-    return " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
+    try:
+        text = str(error)
+    except UnicodeError:  # USD's quote the file, in whatever encoding it is
+        text = ""
+    return " ".join(text.split())[:200].rstrip(".") or type(error).__name__

@@ -1,4 +1,4 @@
-"""Stereolithography files (3D Systems, 1989), text and binary; which one it is, the length says before the first word."""
+"""Stereolithography files (3D Systems, 1989), text and binary: the length says which, the first word does not."""
 
 from __future__ import annotations
 

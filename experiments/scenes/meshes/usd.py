@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from experiments.scenes.meshes.axes import TO_Y_UP
-from experiments.scenes.meshes.reading import MeshError, Parts, Tell, check_indices, one_line
-from experiments.scenes.meshes.usd_prims import prim_triangles
+from experiments.scenes.meshes.reading import MeshError, Parts, Tell, check_indices, one_line, plain_bytes
+from experiments.scenes.meshes.usd_prims import attribute_values, prim_triangles
 from experiments.scenes.primitives import Triangles
 
 _DEEPEST = 16  # levels of instancers within prototypes
@@ -22,18 +22,48 @@ def read(path: Path, tell: Tell) -> Triangles:
     """All triangles at the first time sample, turned so that y is up; lengths stay in the stage's units."""
     if importlib.util.find_spec("pxr") is None:
         raise MeshError("USD files need an extra: pip install 'wkernels[formats]'.")
-    from pxr import Tf, Usd, UsdGeom
+    from pxr import Tf
 
     try:
-        stage = Usd.Stage.Open(str(path))
+        return _read(open_stage(path), tell)
     except Tf.ErrorException as error:
         raise MeshError(f"cannot be read: {one_line(error)}.") from None
-    for error in stage.GetCompositionErrors():
-        tell(f"is incomplete: {one_line(Exception(str(error)))}.")
+
+
+def open_stage(path: Path) -> Any:
+    """The stage of a file; text that is not UTF-8 is taken for Latin-1, and a byte order mark is left out.
+
+    Raises:
+        Tf.ErrorException: USD cannot read it.
+    """
+    from pxr import Sdf, Usd
+
+    data = path.read_bytes()
+    text = plain_bytes(data)
+    if text.startswith(b"#usda"):
+        try:
+            words = text.decode()
+        except UnicodeDecodeError:
+            words = text.decode("latin-1")
+        if words.encode() != data:  # USD itself refuses such layers
+            identifier = str(path.resolve())
+            layer = Sdf.Layer.Find(identifier) or Sdf.Layer.New(Sdf.FileFormat.FindById("usda"), identifier)
+            if layer.ImportFromString(words):
+                return Usd.Stage.Open(layer)
+    return Usd.Stage.Open(str(path))
+
+
+def _read(stage: Any, tell: Tell) -> Triangles:
+    from pxr import Usd, UsdGeom
+
+    for fault in stage.GetCompositionErrors():
+        tell(f"is incomplete: {one_line(fault)}.")
     parts, time = Parts(), Usd.TimeCode.EarliestTime()
     dropped: Counter[str] = Counter()
     turn = np.eye(4)
     up = str(UsdGeom.GetStageUpAxis(stage))
+    if up not in TO_Y_UP:
+        raise MeshError(f"has the up axis {up}, which is none.")
     if up != "Y":
         turn[:3, :3] = TO_Y_UP[up]
         tell(f"its up axis {up} is turned to y.")
@@ -103,9 +133,9 @@ def _instances(instancer: Any, time: Any) -> Iterator[tuple[Any, np.ndarray]]:
     """Prototype and its matrix to the instancer's space of every instance that is not masked out."""
     path = instancer.GetPath()
     paths = instancer.GetPrototypesRel().GetForwardedTargets()
-    index = np.array(instancer.GetProtoIndicesAttr().Get(time) or [], np.int64)
+    index = attribute_values(instancer.GetProtoIndicesAttr(), time, np.int64)
     check_indices(index, len(paths), what=f"an instance of {path}")
-    if len(instancer.GetPositionsAttr().Get(time) or []) != len(index):
+    if len(attribute_values(instancer.GetPositionsAttr(), time, np.float64)) != len(index):
         raise MeshError(f"the point instancer {path} has not as many positions as instances.")
     matrices = instancer.ComputeInstanceTransformsAtTime(time, time)
     mask = instancer.ComputeMaskAtTime(time)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -36,27 +37,30 @@ def prim_triangles(prim: Any, time: Any, tell: Tell) -> Triangles | None:
         return None
 
     def value(name: str) -> Any:
-        return prim.GetAttribute(name).Get(time)
+        found = prim.GetAttribute(name).Get(time)
+        if isinstance(found, float) and not 0.0 <= found < math.inf:
+            raise ValueError(f"{name} {found:g}")
+        return found
 
     try:
-        vertices, faces = shape(value)
-    except (ValueError, TypeError, ZeroDivisionError) as error:
-        raise MeshError(f"the {prim.GetTypeName()} {prim.GetPath()} has sizes without a shape: {error}.") from None
-    if not np.isfinite(vertices).all():
-        raise MeshError(f"the {prim.GetTypeName()} {prim.GetPath()} has a size that is not finite.")
-    return vertices, faces
+        return shape(value)
+    except (ValueError, TypeError, KeyError) as error:  # an attribute without a value, an axis of another name
+        raise MeshError(f"the {prim.GetTypeName()} {prim.GetPath()} has a size without a shape: {error}.") from None
 
 
 def _mesh(mesh: Any, time: Any, tell: Tell) -> Triangles:
     from pxr import UsdGeom
 
-    points = np.array(mesh.GetPointsAttr().Get(time) or [], np.float64).reshape(-1, 3)
-    counts = np.array(mesh.GetFaceVertexCountsAttr().Get(time) or [], np.int64)
-    indices = np.array(mesh.GetFaceVertexIndicesAttr().Get(time) or [], np.int64)
+    points = attribute_values(mesh.GetPointsAttr(), time, np.float64)
+    if points.size % 3:
+        raise MeshError(f"the points of {mesh.GetPath()} are of a wrong type.")
+    points = points.reshape(-1, 3)
+    counts = attribute_values(mesh.GetFaceVertexCountsAttr(), time, np.int64)
+    indices = attribute_values(mesh.GetFaceVertexIndicesAttr(), time, np.int64)
     if counts.sum() != len(indices) or np.any(counts < 0):
         raise MeshError(f"has a mesh ({mesh.GetPath()}) whose face counts do not fit its face indices.")
     check_indices(indices, len(points), what=f"a face of {mesh.GetPath()}")
-    holes = np.array(mesh.GetHoleIndicesAttr().Get(time) or [], np.int64)
+    holes = attribute_values(mesh.GetHoleIndicesAttr(), time, np.int64)
     if len(holes):  # faces that are not drawn
         check_indices(holes, len(counts), what=f"a hole of {mesh.GetPath()}")
         drawn = np.ones(len(counts), bool)
@@ -68,6 +72,14 @@ def _mesh(mesh: Any, time: Any, tell: Tell) -> Triangles:
     faces = triangulate(points, counts, indices)
     left_handed = mesh.GetOrientationAttr().Get(time) == UsdGeom.Tokens.leftHanded
     return points, faces[:, ::-1] if left_handed else faces
+
+
+def attribute_values(attribute: Any, time: Any, kind: type) -> np.ndarray:
+    """An array attribute's values, none where it has none."""
+    try:
+        return np.array(attribute.Get(time) or [], kind)
+    except (TypeError, ValueError):
+        raise MeshError(f"{attribute.GetPath()} is of a wrong type.") from None
 
 
 Value = Callable[[str], Any]
