@@ -128,6 +128,8 @@ class BlobShadows(Technique):
             own = old[1] if old else {i: bounding_ellipsoid(m.vertices) for i, m in enumerate(meshes) if m.casts}
             out = []
             for i, ellipsoid in own.items():
+                if meshes[i].deformed is not None:
+                    ellipsoid = bounding_ellipsoid(meshes[i].vertices_at(frame.index))
                 placed = placed_ellipsoid(ellipsoid, meshes[i], frame.index, frame.geometry.origin_ws)
                 if placed is not None:
                     blob = Blob()

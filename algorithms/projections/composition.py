@@ -46,6 +46,8 @@ class Fallback(Omission):
     EMPTY_SPLIT = "light view of a split", "nothing of what the eye sees lies in it"
     NO_DEPTH = "splits of the view's depth", "what is seen has no depth to split"
     DUELLING = "warp", "light and view direction are less than a degree apart: nothing is better than none"
+    NO_PERSPECTIVE = "warp", "an orthographic view has no perspective aliasing that a warp would even out"
+    PARALLEL_FACES = "a map for each side face", "an orthographic view's faces are parallel: one map is used"
 
 
 def compose(settings: Mapping[str, Any] | None = None) -> LightViews:
@@ -167,7 +169,9 @@ class Composition:
             return scene_views(light_ws, receivers, casters, resolution)
         scene = Bounds()
         scene.add(np.concatenate([receivers.corners, casters.corners]))
-        faces = self.settings.partition == "faces"
+        faces = self.settings.partition == "faces" and eye.perspective
+        if self.settings.partition == "faces" and not faces:
+            self.left_out.append(Fallback.PARALLEL_FACES)
         pieces = side_pieces(whole, eye) if faces else [(whole, eye)]
         views: list[HostView] = []
         for body, ahead in pieces:
@@ -246,8 +250,10 @@ class Composition:
             return projective_view(space, rows, resolution, choice)
         given = {"pseudo_near": shares[0], "pseudo_far": shares[1], "distance": self.settings.warp_distance}
         shape = warp_shape(space, body, eye, **given)
-        distance = self.warp.bounded_distance(shape)
-        if shape.gamma < LEAST_ANGLE and self.settings.warp != "none":
+        distance = self.warp.bounded_distance(shape) if eye.perspective else np.inf
+        if not eye.perspective and self.settings.warp != "none":
+            self.left_out.append(Fallback.NO_PERSPECTIVE)
+        elif shape.gamma < LEAST_ANGLE and self.settings.warp != "none":
             self.left_out.append(Fallback.DUELLING)
         depth = (body - eye.eye_ws) @ eye.forward_ws
         # the point with the nearest corner's depth on the view vector moves as the eye does; the corner itself jumps

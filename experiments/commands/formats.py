@@ -37,6 +37,7 @@ from experiments.results.meanings import meaning
 from experiments.results.prediction import PREDICTION_COLUMNS
 from experiments.results.summary import SUMMARY_COLUMNS
 from experiments.scenes import generators, schema
+from experiments.scenes.importing.schema import ImportingSceneFile
 from experiments.schema import models
 from experiments.schema.experiment import Experiment
 
@@ -232,6 +233,7 @@ RESULTS: Mapping[str, Sequence[str]] = {
 
 TABLES: Mapping[str, Callable[[], str]] = {
     "scene": lambda: key_table(schema.SceneFile),
+    "import": lambda: key_table(ImportingSceneFile),
     "mesh": lambda: key_table(schema.MeshOptions),
     "primitives": lambda: kinds_table("primitive", schema.PRIMITIVES, schema.MeshOptions),
     "generators": generators_table,

@@ -31,18 +31,22 @@ class CameraPath:
         eye_target: Maps frame numbers (n,) to eyes and targets, float64 (n, 6); holds its ends.
         options: What does not change along the path.
         near, far: Depth planes, scene units.
+        ups: Maps frame numbers (n,) to vertical axes, float64 (n, 3), of a camera that rolls; None: ``options`` has it.
     """
 
     eye_target: Callable[[np.ndarray], np.ndarray]
     options: CameraOptions
     near: float
     far: float
+    ups: Callable[[np.ndarray], np.ndarray] | None = None
 
     def __call__(self, frame: int) -> Camera:
         """The camera at a frame index; indices outside the path hold its ends."""
-        eye_target = self.eye_target(np.array([frame], np.float64))[0]
+        at = np.array([frame], np.float64)
+        eye_target = self.eye_target(at)[0]
         o = self.options
-        return Camera(eye_target[:3], eye_target[3:], np.array(o.up), o.fov_deg, self.near, self.far)
+        up = np.array(o.up) if self.ups is None else self.ups(at)[0]
+        return Camera(eye_target[:3], eye_target[3:], up, o.fov_deg, self.near, self.far, o.height)
 
 
 def camera_path(
@@ -52,10 +56,9 @@ def camera_path(
 
     Raises:
         InputError: No eye or target, several or no paths, keyframes out of order, ``far <= near``, an eye on its
-            target.
+            target, an orthographic camera without height or another with one.
     """
-    if camera.near is not None and camera.far is not None and not camera.near < camera.far:
-        raise place.at("camera", "far").error(f"must be greater than near ({camera.near}), not {camera.far}.")
+    check_lens(camera, place.at("camera"))
     if path is None:
         if camera.eye is None or camera.target is None:
             missing = "eye" if camera.eye is None else "target"
@@ -69,6 +72,19 @@ def camera_path(
         raise place.at("camera" if path is None else "path").error(f"the eye lies on the target at frame {frame}.")
     near, far = depth_planes(meshes, eye_target(looked_at(frames).astype(np.float64))[:, :3], camera.near, camera.far)
     return CameraPath(eye_target, camera, near, far), frames
+
+
+def check_lens(camera: CameraOptions, place: Place) -> None:
+    """Raises InputError where the keys of the camera at ``place`` do not go together."""
+    if camera.near is not None and camera.far is not None and not camera.near < camera.far:
+        raise place.at("far").error(f"must be greater than near ({camera.near}), not {camera.far}.")
+    orthographic = camera.projection == "orthographic"
+    if orthographic and camera.height is None:
+        raise place.at("height").error("is required for an orthographic camera.")
+    if orthographic and "fov_deg" in camera.model_fields_set:
+        raise place.at("fov_deg").error("an orthographic camera has no field of view, but a height.")
+    if not orthographic and camera.height is not None:
+        raise place.at("height").error("only a camera with projection: orthographic has a height.")
 
 
 def _still(eye: tuple[float, ...], target: tuple[float, ...]) -> Callable[[np.ndarray], np.ndarray]:

@@ -14,9 +14,11 @@ from experiments.config.source import Source, from_dict, load_yaml
 from experiments.scenes import generators, primitives, schema
 from experiments.scenes.cameras import CameraPath, camera_path
 from experiments.scenes.files import read_triangles
+from experiments.scenes.importing.building import import_file, imported_camera
+from experiments.scenes.importing.schema import ImportingSceneFile
 from experiments.scenes.lights import build_light
-from experiments.scenes.place import Place, misspelt
-from experiments.scenes.poses import KeyframedPose, pose
+from experiments.scenes.place import FreeNames, Place, misspelt
+from experiments.scenes.poses import KeyframedPose, Moving, pose
 from experiments.scenes.primitives import Triangles
 from wkernels.errors import nearest
 from wkernels.scene.lights import Light
@@ -44,6 +46,8 @@ def load_scene(source: str | Path | Mapping[str, Any], *, base: Path | None = No
 def scene_from_source(source: Source, loc: tuple[str | int, ...] = (), *, base: Path, name: str | None = None) -> Scene:
     """The scene at ``loc`` of a source that is read already; ``name`` defaults to that of its first generator."""
     place = Place(source, base, loc)
+    if isinstance(place.data, dict) and "import" in place.data:
+        return _importing_scene(place, name)
     scene_file = place.validated(schema.SceneFile)
     meshes: list[Mesh] = []
     names = FreeNames()
@@ -58,24 +62,23 @@ def scene_from_source(source: Source, loc: tuple[str | int, ...] = (), *, base: 
     return Scene(name, tuple(meshes), lights, camera, frames, content_hash(meshes, lights, camera, frames))
 
 
-class FreeNames:
-    """Names that are taken, and the next number for each that is asked for again: many meshes share a name."""
-
-    def __init__(self) -> None:
-        self._next: dict[str, int] = {}
-
-    def __contains__(self, name: str) -> bool:
-        return name in self._next
-
-    def take(self, name: str) -> str:
-        """The name itself where it is free, else with the least number behind it, from 2, that is."""
-        free, number = name, self._next.get(name, 1)
-        while free in self._next:
-            number += 1
-            free = f"{name}_{number}"
-        self._next[name] = number
-        self._next.setdefault(free, 1)
-        return free
+def _importing_scene(place: Place, name: str | None) -> Scene:
+    """The scene of a file that imports another one, its own keys beside it."""
+    scene_file = place.validated(ImportingSceneFile)
+    imported = import_file(scene_file, place)
+    meshes = list(imported.meshes)
+    files: dict[str, Triangles] = {}
+    for i in range(len(scene_file.meshes)):
+        _add_meshes(meshes, place.at("meshes", i), imported.names, files)
+    lights: list[Light] = []
+    for i, item in enumerate(["from_file"] if scene_file.lights == "from_file" else scene_file.lights):
+        lights += imported.lights if item == "from_file" else [build_light(place.at("lights", i))]
+    if not lights:
+        raise place.at("lights").error("there is no light: the file has none, or none that is supported.")
+    camera, frames = imported_camera(scene_file, imported, meshes, place)
+    digest = content_hash(meshes, lights, camera, frames)
+    name = name or Path(scene_file.import_file).stem
+    return Scene(name, tuple(meshes), tuple(lights), camera, frames, digest, imported.notes)
 
 
 def _add_meshes(meshes: list[Mesh], place: Place, names: FreeNames, files: dict[str, Triangles]) -> None:
@@ -151,18 +154,25 @@ def content_hash(meshes: Sequence[Mesh], lights: Sequence[Light], camera: Camera
 
     for mesh in meshes:
         add(mesh.vertices, mesh.faces, mesh.diffuse, mesh.casts, mesh.receives, mesh.moving)
-        if isinstance(mesh.object_to_ws, KeyframedPose) and mesh.moving:
+        if isinstance(mesh.object_to_ws, Moving) and mesh.moving:
             add(*mesh.object_to_ws.description)
         else:
             add(mesh.object_to_ws(0))
+        if isinstance(mesh.deformed, Moving):
+            add(*mesh.deformed.description)
     for light in lights:
         digest.update(light.kind.encode())
         for item in fields(light):
             value = getattr(light, item.name)
             if item.name != "motion":
                 add(() if value is None else value)
-            elif isinstance(value, KeyframedPose):
+            elif isinstance(value, Moving):
                 add(*value.description)
     fixed = camera.options
-    add(camera.eye_target(np.arange(frames, dtype=np.float64)), fixed.up, [fixed.fov_deg, camera.near, camera.far])
+    at = np.arange(frames, dtype=np.float64)
+    add(camera.eye_target(at), fixed.up, [fixed.fov_deg, camera.near, camera.far])
+    if camera.ups is not None:
+        add(camera.ups(at))
+    if fixed.height is not None:
+        add(fixed.height)
     return digest.hexdigest()

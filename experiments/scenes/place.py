@@ -74,3 +74,23 @@ def misspelt(key: str, data: Iterable[str]) -> str | None:
     """The one of the given keys that looks like a misspelling of ``key``."""
     close = difflib.get_close_matches(key, data, n=1, cutoff=0.7)
     return close[0] if close and close[0] != key else None
+
+
+class FreeNames:
+    """Names that are taken, and the next number for each that is asked for again: many meshes share a name."""
+
+    def __init__(self) -> None:
+        self._next: dict[str, int] = {}
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._next
+
+    def take(self, name: str) -> str:
+        """The name itself where it is free, else with the least number behind it, from 2, that is."""
+        free, number = name, self._next.get(name, 1)
+        while free in self._next:
+            number += 1
+            free = f"{name}_{number}"
+        self._next[name] = number
+        self._next.setdefault(free, 1)
+        return free

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -24,6 +25,15 @@ def _compose(translate: np.ndarray, rotation: np.ndarray, scale: np.ndarray) -> 
     out[:3, :3] = rotation * scale
     out[:3, 3] = translate
     return out
+
+
+@runtime_checkable
+class Moving(Protocol):
+    """What changes from frame to frame in a way that arrays determine."""
+
+    @property
+    def description(self) -> tuple[np.ndarray, ...]:
+        """Arrays that determine it at every frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +99,27 @@ class KeyframedPose:
         first = self(int(self.frames[0]))
         ends = any(not np.array_equal(first, self(int(frame))) for frame in self.frames[1:])
         return ends or bool(self._turns.any())
+
+
+@dataclass(frozen=True, eq=False)
+class SampledPose:
+    """A matrix for every frame, float64 (n, 4, 4)."""
+
+    matrices: np.ndarray
+
+    def __call__(self, frame: int) -> np.ndarray:
+        """Object to world space, float64 (4, 4); the first and last frame are held outside their range."""
+        return self.matrices[min(max(int(frame), 0), len(self.matrices) - 1)].copy()
+
+    @property
+    def description(self) -> tuple[np.ndarray, ...]:
+        """Arrays that determine the pose at every frame."""
+        return (self.matrices,)
+
+    @property
+    def moving(self) -> bool:
+        """Whether any matrix differs from the first."""
+        return bool(np.any(self.matrices != self.matrices[0]))
 
 
 def pose(transform: Transform, motion: Motion | None, place: Place) -> StaticPose | KeyframedPose:

@@ -234,13 +234,15 @@ LIGHTS: dict[str, type[LightOptions]] = {
 
 
 class CameraOptions(StrictModel):
-    """A pinhole camera.
+    """A pinhole camera, or an orthographic one.
 
     Attributes:
         eye: Where it stands; may be left to a path.
         target: What it looks at; likewise.
         up: Its vertical axis.
-        fov_deg: Vertical field of view.
+        projection: Whether lines of sight meet in the eye, or are parallel.
+        fov_deg: Vertical field of view of a perspective camera.
+        height: What an orthographic camera sees from top to bottom; it needs it, and no other has it.
         near: Near plane; 0.1, or what the scene needs where it is much larger or smaller.
         far: Far plane; 1000, likewise.
     """
@@ -248,7 +250,9 @@ class CameraOptions(StrictModel):
     eye: Vector3 | None = None
     target: Vector3 | None = None
     up: Direction = (0.0, 1.0, 0.0)
+    projection: Literal["perspective", "orthographic"] = "perspective"
     fov_deg: Annotated[float, Field(gt=0, lt=180)] = 60.0
+    height: Positive | None = None
     near: Positive | None = None
     far: Positive | None = None
 

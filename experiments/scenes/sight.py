@@ -71,7 +71,8 @@ def why_nothing_is_seen(scene: Scene, frame: int, width: int, height: int) -> st
         if not seen.is_empty:
             depths += [float(depth) for depth in seen.vertices @ view.forward_ws]
     if not depths:
-        return "all receivers lie outside the field of view: see camera.target and camera.fov_deg"
+        lens = "fov_deg" if camera.height is None else "height"
+        return f"all receivers lie outside the field of view: see camera.target and camera.{lens}"
     nearest, farthest = min(depths), max(depths)
     if farthest < camera.near:
         return f"camera.near ({camera.near:g}) hides all receivers, which lie up to {farthest:.4g} before the eye"

@@ -238,6 +238,6 @@ def _with_absolute_files(data: Any, base: Path) -> Any:
         return data
     out = {}
     for key, value in data.items():
-        is_file = key in ("file", "texture") and isinstance(value, str) and not value.startswith("warp:")
+        is_file = key in ("file", "texture", "import") and isinstance(value, str) and not value.startswith("warp:")
         out[key] = (base / value).as_posix() if is_file else _with_absolute_files(value, base)
     return out

@@ -109,7 +109,9 @@ def _shows_all(technique: Any, params: Mapping[str, Any]) -> bool:
 
 
 def is_planar(mesh: Mesh) -> bool:
-    """Whether all vertices lie in one plane, within a millionth of the mesh's extent."""
+    """Whether all vertices lie in one plane, within a millionth of the mesh's extent, and for ever."""
+    if mesh.deformed is not None:
+        return False
     centred = mesh.vertices - mesh.vertices.mean(axis=0)
     values = np.linalg.svd(centred, compute_uv=False) if len(centred) >= 3 else np.zeros(3)
     return bool(values[-1] <= PLANAR_TOLERANCE * max(values[0], 1e-300))

@@ -62,6 +62,8 @@ def closed_form(subject: Subject, borders: np.ndarray) -> tuple[np.ndarray, np.n
     frustum, is not in it.
     """
     towards = subject.to_light(np.zeros(3))
+    if not subject.eye.perspective:
+        return "the eye's view is orthographic"
     if subject.light_ws[3] != 0.0:
         return "the light is a point"
     if not subject.follows_eye:

@@ -123,6 +123,7 @@ def _draw_marker(image: np.ndarray, subject: Subject, shot: Shot) -> None:
     size = 0.10 * away * (shot.view.window[3] - shot.view.window[2]) / 2.0
     left, right, bottom, top = eye.window
     scale = size / max(right, top)
+    # an orthographic eye has no place where its lines of sight meet: a pyramid shows which way it looks
     corners = [
         eye.eye_ws + size * eye.forward_ws + scale * (x * eye.right_ws + y * eye.up_ws)
         for x, y in ((left, bottom), (right, bottom), (right, top), (left, top))

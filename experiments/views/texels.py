@@ -40,7 +40,9 @@ def jacobians(subject: Subject, shot: Shot, screen: HostView, where: np.ndarray)
         where: Pixels to look at (H, W); the others are NaN.
     """
     out = np.full((*shot.depth.shape, 2, 2), np.nan)
-    sight = shot.position - screen.eye_ws
+    sight = (
+        shot.position - screen.eye_ws if screen.perspective else np.broadcast_to(screen.forward_ws, shot.position.shape)
+    )
     sine = np.abs(np.einsum("...i,...i", shot.normal, sight)) / np.maximum(np.linalg.norm(sight, axis=-1), 1e-30)
     for i, view in enumerate(subject.views):
         mine = where & (shot.layer == i) & (sine > EDGE_ON)

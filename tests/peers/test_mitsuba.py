@@ -28,6 +28,32 @@ WIDTH, HEIGHT, SAMPLES = 160, 120, 256
 BATCH = 32  # samples of all pixels that Mitsuba traces at once
 SIGNIFICANCE = 0.01
 
+XML = """\
+<scene version="3.0.0">
+  <sensor type="{sensor}">
+    {lens}
+    <float name="near_clip" value="0.5"/><float name="far_clip" value="60"/>
+    <transform name="to_world">{scale}<lookat origin="3, 4, 9" target="0, 0.8, 0" up="0.1, 1, 0"/></transform>
+    <film type="hdrfilm"><integer name="width" value="{width}"/><integer name="height" value="{height}"/></film>
+  </sensor>
+  <shape type="rectangle"><transform name="to_world"><scale value="20"/><rotate x="1" angle="-90"/></transform></shape>
+  <shape type="cube">
+    <transform name="to_world">
+      <scale x="0.5" y="0.9" z="0.4"/><rotate y="1" angle="40"/><rotate z="1" angle="-15"/><translate x="-1.4" y="1.5"/>
+    </transform>
+  </shape>
+  <shape type="cube">
+    <transform name="to_world">
+      <matrix value="0.3 0.1 0 1.4  0 0.8 0.2 1.3  0.1 0 -0.4 0.3  0 0 0 1"/>
+    </transform>
+  </shape>
+  <shape type="rectangle">
+    <transform name="to_world"><scale x="1" y="0.6"/><rotate x="1" angle="100"/><translate x="0.5" y="7"/></transform>
+    <emitter type="area"><rgb name="radiance" value="1"/></emitter>
+  </shape>
+</scene>
+"""
+
 
 @pytest.fixture(scope="module")
 def mi() -> Any:
@@ -87,7 +113,11 @@ def mitsuba_visibility(mi: Any, scene: Scene, frame: int) -> tuple[np.ndarray, n
         },
     }
     content |= {f"mesh_{i}": as_shape(mi, mesh, frame) for i, mesh in enumerate(scene.meshes)}
-    built = mi.load_dict(content)
+    return traced(mi, mi.load_dict(content))
+
+
+def traced(mi: Any, built: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same of a scene of Mitsuba's with one emitter, through its first sensor."""
     column, row = (np.tile(index.ravel(), BATCH) for index in np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)))
     position = mi.Point2f(((column + 0.5) / WIDTH).astype(np.float32), ((row + 0.5) / HEIGHT).astype(np.float32))
     sampler = mi.load_dict({"type": "independent"})
@@ -118,7 +148,21 @@ def rejected(difference: np.ndarray, error: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", ["bunny", "overlap"])
 def test_reference_agrees_with_mitsuba(mi: Any, name: str) -> None:
     scene = load_scene(SCENES / f"{name}.yaml")
-    theirs, their_error, points = mitsuba_visibility(mi, scene, frame=0)
+    agree(name, scene, *mitsuba_visibility(mi, scene, frame=0))
+
+
+@pytest.mark.parametrize("sensor", ["perspective", "orthographic"])
+def test_imported_xml_agrees_with_mitsuba(mi: Any, tmp_path: Path, sensor: str) -> None:
+    """Mitsuba reads the file itself: shapes, transforms, camera and emitter mean the same to both."""
+    lens = '<float name="fov" value="40"/>' if sensor == "perspective" else ""
+    scale = '<scale value="4"/>' if sensor == "orthographic" else ""
+    (tmp_path / "scene.xml").write_text(XML.format(sensor=sensor, lens=lens, scale=scale, width=WIDTH, height=HEIGHT))
+    scene = load_scene({"import": str(tmp_path / "scene.xml")})
+    agree(f"XML, {sensor}", scene, *traced(mi, mi.load_file(str(tmp_path / "scene.xml"))))
+
+
+def agree(name: str, scene: Scene, theirs: np.ndarray, their_error: np.ndarray, points: np.ndarray) -> None:
+    """Holds the reference to Mitsuba's visibility, standard error and seen points."""
     result = render_visibility(scene, "reference_multisample", {"samples": SAMPLES}, width=WIDTH, height=HEIGHT)
     ours, our_error = result.visibility, result.standard_error
     # the two see the same surface in all but the pixels that a silhouette crosses within float32 rounding

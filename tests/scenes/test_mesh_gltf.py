@@ -282,8 +282,8 @@ BROKEN = {
         "2 morph targets, but 1 weights",
     ),
     "meshopt": (
-        lambda d: d["bufferViews"][0].update(extensions={"EXT_meshopt_compression": {}}),
-        "EXT_meshopt_compression",
+        lambda d: d["bufferViews"][0].update(extensions={"EXT_meshopt_compression": {"buffer": 0}}),
+        "compressed",
     ),
     "another version": (lambda d: d["asset"].update(version="1.0"), "glTF of version 1.0"),
     "a buffer elsewhere": (lambda d: d["buffers"][0].update(uri="https://a.b/c.bin"), "only files relative"),

@@ -55,15 +55,15 @@ def receiver_planes(geometry: Geometry, frame: int, own_planes: dict[int, np.nda
     Args:
         geometry: Gives the meshes and the rebasing.
         frame: Index of the frame, for the poses.
-        own_planes: Object-space planes by mesh, filled here and kept by the caller: they never change.
+        own_planes: Object-space planes by mesh, filled here and kept by the caller: they change only where shapes do.
     """
     extent = extent_of(geometry)
     planes: list[ReceiverPlane] = []
     for i, mesh in enumerate(geometry.meshes):
         if not mesh.receives:
             continue
-        if i not in own_planes:
-            own_planes[i] = plane_of(mesh.vertices)
+        if i not in own_planes or mesh.deformed is not None:
+            own_planes[i] = plane_of(mesh.vertices_at(frame))
         plane = _placed(own_planes[i], mesh, frame, geometry.origin_ws)
         if plane is None:
             continue

@@ -202,7 +202,9 @@ def warp_shape(space: LightSpace, body: np.ndarray, eye: HostView, **given: floa
 
 
 def _half_fov(space: LightSpace, eye: HostView) -> float:
-    """Half the field of view in the plane of view and light direction."""
+    """Half the field of view in the plane of view and light direction; 0 where lines of sight are parallel."""
+    if not eye.perspective:
+        return 0.0
     left, right, bottom, top = eye.window
     tilt = space.forward_ws - (space.forward_ws @ eye.forward_ws) * eye.forward_ws
     length = float(np.linalg.norm(tilt))

@@ -139,7 +139,7 @@ def perspective_aliasing(
     """
     z = np.geomspace(eye.near, eye.far, steps)
     points = eye.eye_ws + z[:, None] * eye.forward_ws
-    pixel = z * (eye.window[3] - eye.window[2]) / eye.height
+    pixel = (z if eye.perspective else np.ones(steps)) * (eye.window[3] - eye.window[2]) / eye.height
     m_x, m_z = np.full(steps, np.nan), np.full(steps, np.nan)
     taken, margin = np.zeros(steps, dtype=bool), np.zeros(steps)
     for view in light_views:

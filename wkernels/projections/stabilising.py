@@ -8,8 +8,11 @@ from wkernels.scene.views import HostView
 
 
 def frustum_sphere(eye: HostView) -> tuple[np.ndarray, float]:
-    """Centre (3,) and radius of the least sphere around a perspective view's symmetric frustum."""
+    """Centre (3,) and radius of the least sphere around a view's symmetric frustum, or around its box."""
     left, right, bottom, top = eye.window
+    if not eye.perspective:
+        half = 0.5 * np.array([right - left, top - bottom, eye.far - eye.near])
+        return eye.eye_ws + 0.5 * (eye.near + eye.far) * eye.forward_ws, float(np.linalg.norm(half))
     k_2 = (0.5 * (right - left)) ** 2 + (0.5 * (top - bottom)) ** 2
     depth = min(eye.far, 0.5 * (eye.near + eye.far) * (1.0 + k_2))
     return eye.eye_ws + depth * eye.forward_ws, float(np.hypot(eye.far - depth, eye.far * np.sqrt(k_2)))

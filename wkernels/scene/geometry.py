@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 
 import numpy as np
 import warp as wp
@@ -96,7 +97,7 @@ class Geometry:
         self.version = 0
         self._frame: int | None = None
         self._shown: dict[int, np.ndarray] = {}
-        self.poses = Poses({i: mesh.object_to_ws for i, mesh in enumerate(self.meshes) if mesh.moving})
+        self.poses = Poses({i: _state(mesh) for i, mesh in enumerate(self.meshes) if mesh.moving})
         placed = [placed_vertices(mesh, 0) for mesh in self.meshes]
         self._eyes = eye_box(scene)
         held = [box for vertices in placed if (box := box_of(vertices)) is not None]
@@ -291,5 +292,14 @@ def placed_vertices(mesh: Mesh, frame: int) -> np.ndarray:
     """A mesh's vertices at a frame, world space, float64 (V, 3)."""
     pose = mesh.object_to_ws(frame)
     with np.errstate(invalid="ignore"):  # vertices that are not finite stay so, and cast nothing
-        placed: np.ndarray = np.asarray(mesh.vertices, dtype=np.float64) @ pose[:3, :3].T + pose[:3, 3]
+        placed: np.ndarray = np.asarray(mesh.vertices_at(frame), dtype=np.float64) @ pose[:3, :3].T + pose[:3, 3]
     return placed
+
+
+def _state(mesh: Mesh) -> Callable[[int], np.ndarray]:
+    """What is the same at two frames where the mesh is: its pose; where it changes shape a digest of its vertices."""
+
+    def digest(frame: int) -> np.ndarray:
+        return np.frombuffer(hashlib.sha256(placed_vertices(mesh, frame).tobytes()).digest(), np.uint8)
+
+    return mesh.object_to_ws if mesh.deformed is None else digest

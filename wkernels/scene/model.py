@@ -23,7 +23,9 @@ class Mesh:
         casts: Whether the mesh blocks light.
         receives: Whether visibility is computed on the mesh.
         object_to_ws: Pose at a frame, float64 (4, 4).
-        moving: Whether the pose differs between frames.
+        moving: Whether the pose or the shape differs between frames.
+        deformed: Object-space positions at a frame, float64 (V, 3), of a mesh that changes its shape; ``vertices`` are
+            those of frame 0. None: it keeps its shape.
     """
 
     name: str
@@ -34,11 +36,20 @@ class Mesh:
     receives: bool = True
     object_to_ws: Callable[[int], np.ndarray] = lambda frame: np.eye(4)
     moving: bool = False
+    deformed: Callable[[int], np.ndarray] | None = None
+
+    def vertices_at(self, frame: int) -> np.ndarray:
+        """Object-space positions at a frame, shape (V, 3)."""
+        return self.vertices if self.deformed is None else self.deformed(frame)
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole camera in world space. ``fov_deg`` is vertical; ``0 < near < far`` in scene units."""
+    """A camera in world space, ``0 < near < far`` in scene units.
+
+    A pinhole whose vertical field of view is ``fov_deg``; or orthographic, where ``height`` says what it sees from top
+    to bottom, scene units.
+    """
 
     eye: np.ndarray
     target: np.ndarray
@@ -46,11 +57,12 @@ class Camera:
     fov_deg: float
     near: float
     far: float
+    height: float | None = None
 
     @property
     def key(self) -> Hashable:
         """All of it, comparable."""
-        numbers = [*self.eye, *self.target, *self.up, self.fov_deg, self.near, self.far]
+        numbers = [*self.eye, *self.target, *self.up, self.fov_deg, self.near, self.far, self.height or 0.0]
         return tuple(float(x) for x in numbers)
 
 
@@ -65,6 +77,7 @@ class Scene:
         camera: Camera at a frame index (any int; indices outside the path hold its ends).
         frames: Length of the path; 1 where the scene has none.
         content_hash: Hex digest over everything that changes pixels; the key of cached references.
+        notes: Sentences for people about how the scene was read: what an imported file brought, what was left out.
     """
 
     name: str
@@ -73,6 +86,7 @@ class Scene:
     camera: Callable[[int], Camera]
     frames: int = 1
     content_hash: str = ""
+    notes: tuple[str, ...] = ()
 
     def light(self, index: int, frame: int) -> Light:
         """A light where it is at a frame."""

@@ -18,7 +18,8 @@ class Poses:
     """Poses of meshes at frames, and whether they have stayed the same.
 
     Args:
-        object_to_ws: Pose at a frame, float64 (4, 4), of each mesh that may move, by its index.
+        object_to_ws: Pose at a frame, float64 (4, 4), of each mesh that may move, by its index; of one that changes its
+            shape whatever array says how it stands.
     """
 
     def __init__(self, object_to_ws: dict[int, Callable[[int], np.ndarray]]) -> None:
@@ -26,7 +27,7 @@ class Poses:
         self._held: dict[tuple[int, int], np.ndarray] = {}
 
     def at(self, mesh: int, frame: int) -> np.ndarray:
-        """The pose of a mesh at a frame; (4, 4)."""
+        """The pose of a mesh at a frame, (4, 4), or what stands for it."""
         key = (mesh, frame)
         if key not in self._held:
             self._held[key] = self._object_to_ws[mesh](frame)

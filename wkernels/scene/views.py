@@ -153,7 +153,7 @@ def eye_view(camera, width: int, height: int, origin_ws: np.ndarray, margin: tup
     """The view of ``camera``, rebased by ``-origin_ws``, with ``margin`` extra pixels at each side (overscan).
 
     The pixel pitch does not depend on the margin, so the middle of an overscanned view samples the same receiver
-    points.
+    points. A camera with a ``height`` is orthographic.
     """
     forward = np.asarray(camera.target, float) - np.asarray(camera.eye, float)
     forward /= np.linalg.norm(forward)
@@ -162,9 +162,10 @@ def eye_view(camera, width: int, height: int, origin_ws: np.ndarray, margin: tup
         up = np.eye(3)[np.argmin(np.abs(forward))]
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
-    tan_y = np.tan(np.radians(camera.fov_deg) / 2.0)
-    half_w = tan_y * (width + 2 * margin[0]) / height
-    half_h = tan_y * (height + 2 * margin[1]) / height
+    perspective = camera.height is None
+    half = np.tan(np.radians(camera.fov_deg) / 2.0) if perspective else 0.5 * camera.height
+    half_w = half * (width + 2 * margin[0]) / height
+    half_h = half * (height + 2 * margin[1]) / height
     return HostView(
         eye_ws=np.asarray(camera.eye, float) - origin_ws,
         right_ws=right,
@@ -175,4 +176,5 @@ def eye_view(camera, width: int, height: int, origin_ws: np.ndarray, margin: tup
         far=float(camera.far),
         width=width + 2 * margin[0],
         height=height + 2 * margin[1],
+        perspective=perspective,
     )

@@ -10,6 +10,9 @@ import warp as wp
 from wkernels.frame.session import Session
 from wkernels.scene.geometry import Geometry
 
+NOWHERE = 1e15
+"""Scene units; beyond every coordinate of a scene, and squares of it are finite in float32."""
+
 
 @dataclass
 class MeshMotion:
@@ -25,12 +28,18 @@ class MeshMotion:
 
 
 def mesh_motion(geometry: Geometry, now: int, then: int) -> tuple[np.ndarray, np.ndarray]:
-    """``MeshMotion`` on the host, float64 (M, 4, 4) and (M, 3, 3); meshes that were or are flat stay where they are."""
+    """``MeshMotion`` on the host, float64 (M, 4, 4) and (M, 3, 3).
+
+    Meshes that were or are flat stay where they are. No matrix follows a mesh that changed its shape: its points are
+    sent where nothing is seen, so that they have no history.
+    """
     points = np.tile(np.eye(4), (len(geometry.meshes), 1, 1))
     to_world, to_rebased = np.eye(4), np.eye(4)
     to_world[:3, 3], to_rebased[:3, 3] = geometry.origin_ws, -geometry.origin_ws
     for i, mesh in enumerate(geometry.meshes):
-        if mesh.moving:
+        if mesh.deformed is not None and not np.array_equal(mesh.vertices_at(now), mesh.vertices_at(then)):
+            points[i, :3, 3] = NOWHERE
+        elif mesh.moving:
             poses = mesh.object_to_ws(now), mesh.object_to_ws(then)
             if all(np.linalg.matrix_rank(pose[:3, :3]) == 3 for pose in poses):
                 points[i] = to_rebased @ poses[1] @ np.linalg.inv(poses[0]) @ to_world

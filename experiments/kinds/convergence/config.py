@@ -230,7 +230,14 @@ def held(scene: Scene, frame: int) -> Scene:
     """The scene as it is at a frame, for ever: camera, lights and meshes stand."""
     camera = scene.camera(frame)
     meshes = tuple(
-        replace(mesh, object_to_ws=_standing(mesh.object_to_ws(frame)), moving=False) for mesh in scene.meshes
+        replace(
+            mesh,
+            object_to_ws=_standing(mesh.object_to_ws(frame)),
+            moving=False,
+            vertices=mesh.vertices_at(frame),
+            deformed=None,
+        )
+        for mesh in scene.meshes
     )
     lights = tuple(scene.light(i, frame) for i in range(len(scene.lights)))
     return replace(scene, meshes=meshes, lights=lights, camera=lambda _: camera, frames=1)

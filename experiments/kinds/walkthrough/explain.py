@@ -44,7 +44,7 @@ def sections_text(head: str, sections: Sequence[tuple[str, Sequence[str]]]) -> s
 
 
 def scene_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, type]) -> list[str]:
-    """Meshes, light and path."""
+    """Meshes, light and path, and what an imported file brought or lost."""
     casters = [mesh for mesh in scene.meshes if mesh.casts]
     triangles = sum(len(mesh.faces) for mesh in scene.meshes)
     light = scene.light(experiment.light, experiment.frames[0])
@@ -64,6 +64,7 @@ def scene_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, type
         f"light {experiment.light} of {len(scene.lights)}: {light.kind}, {extent}",
         f"path of {scene.frames} frame{_s(scene.frames)}; "
         f"{len(experiment.frames)} rendered: {_ranges(experiment.frames)}",
+        *(f"imported: {note}" for note in scene.notes),
     ]
 
 

@@ -137,7 +137,7 @@ def _boxes(experiment: Experiment, scene: Scene) -> tuple[Bounds, Bounds]:
 
 def _corners(mesh: Mesh, frame: int) -> np.ndarray:
     pose = mesh.object_to_ws(frame)
-    points = np.asarray(mesh.vertices, float) @ pose[:3, :3].T + pose[:3, 3]
+    points = np.asarray(mesh.vertices_at(frame), float) @ pose[:3, :3].T + pose[:3, 3]
     return points[np.isfinite(points).all(axis=1)]
 
 

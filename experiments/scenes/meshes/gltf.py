@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.scenes.meshes import gltf_nodes
+from experiments.scenes.meshes import gltf_meshopt, gltf_nodes
 from experiments.scenes.meshes.gltf_document import Document
 from experiments.scenes.meshes.gltf_primitives import (
     DRACO,
@@ -19,7 +19,10 @@ from experiments.scenes.meshes.gltf_primitives import (
 from experiments.scenes.meshes.reading import MeshError, Parts, Tell
 from experiments.scenes.primitives import Triangles
 
-GEOMETRY_EXTENSIONS = {"KHR_mesh_quantization", DRACO, gltf_nodes.INSTANCING, gltf_nodes.VISIBILITY}
+GEOMETRY_EXTENSIONS = {
+    *("KHR_mesh_quantization", DRACO, *gltf_meshopt.NAMES),
+    *(gltf_nodes.INSTANCING, gltf_nodes.VISIBILITY),
+}
 _SURFACES_ONLY = ("KHR_materials_", "EXT_materials_", "KHR_texture_", "EXT_texture_", "KHR_xmp")
 
 

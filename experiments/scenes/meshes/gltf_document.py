@@ -11,6 +11,7 @@ from urllib.parse import unquote, urlparse
 
 import numpy as np
 
+from experiments.scenes.meshes import gltf_meshopt
 from experiments.scenes.meshes.reading import MeshError, one_line
 
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -109,17 +110,25 @@ class Document:
     def view_bytes(self, index: Any) -> tuple[bytes, int | None]:
         """The bytes of a buffer view and its stride, None where elements follow one another."""
         view = self.item("bufferViews", index)
-        for name in self.get(view, "extensions", dict, {}):
-            if name in ("EXT_meshopt_compression", "KHR_meshopt_compression"):
-                raise MeshError(f"its buffers are compressed by {name}, which is not supported.")
-        data = self._buffer(view.get("buffer"))
-        offset, length = self.get(view, "byteOffset", int, 0), self.get(view, "byteLength", int, 0)
-        if offset < 0 or length < 0 or offset + length > len(data):
-            raise MeshError(f"bufferView {index} reaches beyond the {len(data)} bytes of its buffer.")
+        extensions = self.get(view, "extensions", dict, {})
+        for name in gltf_meshopt.NAMES:
+            if name in extensions:
+                packed = self.get(extensions, name, dict, {})
+                return gltf_meshopt.decoded(self._part(packed, f"bufferView {index}"), packed, f"bufferView {index}"), (
+                    self.get(packed, "byteStride", int) if packed.get("mode") == "ATTRIBUTES" else None
+                )
+        held = self._part(view, f"bufferView {index}")
         stride = self.get(view, "byteStride", int)
         if stride is not None and not 4 <= stride <= 252:
             raise MeshError(f"bufferView {index} has the stride {stride}, which must be 4 to 252.")
-        return data[offset : offset + length], stride
+        return held, stride
+
+    def _part(self, view: dict[str, Any], what: str) -> bytes:
+        data = self._buffer(view.get("buffer"))
+        offset, length = self.get(view, "byteOffset", int, 0), self.get(view, "byteLength", int, 0)
+        if offset < 0 or length < 0 or offset + length > len(data):
+            raise MeshError(f"{what} reaches beyond the {len(data)} bytes of its buffer.")
+        return data[offset : offset + length]
 
     def _kind(self, data: dict[str, Any], what: str) -> tuple[np.dtype, int]:
         component, shape = data.get("componentType"), data.get("type")
