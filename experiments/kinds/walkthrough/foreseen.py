@@ -16,6 +16,7 @@ from wkernels.frame.map_keeper import BesideViews
 from wkernels.frame.result import TurnedAway
 from wkernels.projections.light_views import scene_views
 from wkernels.scene.geometry import Bounds
+from wkernels.scene.rest import Poses
 from wkernels.scene.views import HostView, eye_view
 from wkernels.workspace.left_out import Because, Omission, Reasoned
 from wkernels.workspace.products import Product, Unasked
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from experiments.schema.techniques import TechniqueRun
     from wkernels.scene.model import Mesh, Scene
 
+LOOKED_AT = 10_000  # frames of a path, for whether movers rest in any
 FRAMES_LOOKED_AT = 30  # of a walkthrough, evenly spaced, for what depends on where the eye is
 
 
@@ -63,12 +65,19 @@ def own_omissions(scene: Scene, light: int, technique: Any, params: Mapping[str,
     """What a technique declares that it may leave out with these parameters, without what the scene rules out."""
     holds = {
         Because.NO_AREA: not scene.lights[light].has_area,
-        Because.NO_CASTER_MOVES: not any(mesh.moving and mesh.casts for mesh in scene.meshes),
+        Because.NO_CASTER_MOVES: casters_rest(scene),
         Because.NOTHING_CASTS: not any(mesh.casts for mesh in scene.meshes),
     }
     for omission in technique(technique.Params(**params)).leaves_out():
         if omission.because is None or holds[omission.because]:
             yield omission.pair
+
+
+def casters_rest(scene: Scene) -> bool:
+    """Whether there is a frame in which no caster moves: none may, or all that may rest (``scene.rest``)."""
+    movers = dict(enumerate(mesh.object_to_ws for mesh in scene.meshes if mesh.moving and mesh.casts))
+    poses = Poses(movers)
+    return any(len(poses.resting(frame)) == len(movers) for frame in range(min(scene.frames, LOOKED_AT)))
 
 
 def reads_map(technique: Any) -> bool:
@@ -97,8 +106,8 @@ def _kept_lines(experiment: Experiment, scene: Scene, plugins: Mapping[str, type
 
 
 def _draws_anew(technique: Any) -> bool:
-    """Whether a technique draws maps for other points of the light in every frame: with memory, but none of maps."""
-    return bool(technique.needs.history and not technique.needs.still_light)
+    """Whether a technique draws other maps in every frame: with memory, but none of maps."""
+    return bool(technique.needs.history and Product.KEPT_MAPS not in technique.products)
 
 
 def light_moves(experiment: Experiment, scene: Scene) -> bool:

@@ -225,8 +225,7 @@ def update_shadow_buffer_lanes(
     for k in range(held):
         keeps = wp.where((moves[k] & drops) != 0, 0.0, float(receives[k]))
         tag = wp.where(wp.where(keeps > 0.0, moves[k], 0) != 0, -1.0, 1.0)
-        rise = rises[k] * float(receives[k])
-        current_out[y, x0 + k] = wp.vec4(rho[k] * keeps, n[k] * keeps, tag * eye_depths[k] / far, rise)
+        current_out[y, x0 + k] = wp.vec4(rho[k] * keeps, n[k] * keeps, tag * eye_depths[k] / far, rises[k] * keeps)
         psi_depth_out[y, x0 + k] = wp.vec2(psi[k], eye_depths[k])
         error_out[y, x0 + k] = error[k]
         half_width_out[y, x0 + k] = half_width[k]
