@@ -22,9 +22,21 @@ _EXTRAS = {
     "view": {"viser": "viser"},
     "distributed": {"distributed": "distributed"},
     "formats": {"pxr": "usd-core", "collada": "pycollada", "DracoPy": "DracoPy"},
+    "meshopt": {"meshoptimizer": "meshoptimizer"},
     "peers": {"mitsuba": "mitsuba", "moderngl": "moderngl", "embreex": "embreex"},
 }
-_REQUIRED = ("warp-lang", "numpy", "scipy", "trimesh", "matplotlib", "OpenImageIO", "pydantic", "PyYAML", "pandas")
+_REQUIRED = (
+    "warp-lang",
+    "numpy",
+    "scipy",
+    "trimesh",
+    "matplotlib",
+    "OpenImageIO",
+    "pydantic",
+    "PyYAML",
+    "pandas",
+    "mapbox_earcut",
+)
 
 
 @dataclass(frozen=True)
