@@ -46,8 +46,11 @@ def load_scene(source: str | Path | Mapping[str, Any], *, base: Path | None = No
 def scene_from_source(source: Source, loc: tuple[str | int, ...] = (), *, base: Path, name: str | None = None) -> Scene:
     """The scene at ``loc`` of a source that is read already; ``name`` defaults to that of its first generator."""
     place = Place(source, base, loc)
-    if isinstance(place.data, dict) and "import" in place.data:
-        return _importing_scene(place, name)
+    if isinstance(place.data, dict):
+        if "import" in place.data:
+            return _importing_scene(place, name)
+        if (wrong := misspelt("import", place.data)) is not None:
+            raise place.at(wrong).error("is not a known key. Did you mean 'import'?")
     scene_file = place.validated(schema.SceneFile)
     meshes: list[Mesh] = []
     names = FreeNames()

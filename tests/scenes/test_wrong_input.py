@@ -25,6 +25,7 @@ KEYS = "keyframes: [{frame: 0, eye: [0, 2, 5], target: [0, 0, 0]}, {frame: 2, ey
 WRONG = [
     # what is replaced, by what, line of the mistake, words of the message
     ("meshes:", "mesh:", 1, ["mesh", "Did you mean 'meshes'"]),
+    ("meshes:", "imprt: a.glb\nmeshes:", 1, ["imprt", "Did you mean 'import'"]),
     (BOX, "{primitive: box, size: [1, 1, 1], cast: false}", 2, ["meshes.0.cast", "Did you mean 'casts'"]),
     (BOX, "{primitve: box, size: [1, 1, 1]}", 2, ["meshes.0.primitve", "Did you mean 'primitive'"]),
     (BOX, "{primitive: bos, size: [1, 1, 1]}", 2, ["'bos'", "Did you mean 'box'"]),
