@@ -219,12 +219,12 @@ def test_explain_knows_that_temporal_techniques_draw_a_map_a_frame(tmp_path: Pat
 
 
 def test_explain_leaves_out_what_scene_or_parameters_rule_out(tmp_path: Path) -> None:
-    text = explain(experiment(tmp_path, "moving_blocker", "pcss, tc_hard, vsm, vsm: {label: one, taps: 1}"), PLUGINS)
+    text = explain(experiment(tmp_path, "overlap", "pcss, tc_hard, vsm, vsm: {label: one, taps: 1}"), PLUGINS)
     assert "no area" not in text and "tags of moving casters" not in text
     assert "\n  one: blur of moments" in text
-    assert "tags of moving casters: no caster moves" in explain(
-        experiment(tmp_path, "a4_rectangle", "tc_hard, pcss"), PLUGINS
-    )
+    for scene in ("a4_rectangle", "moving_blocker"):  # where nothing moves, and where what moves rests for a while
+        text = explain(experiment(tmp_path, scene, "tc_hard, pcss"), PLUGINS)
+        assert "tags of moving casters: no caster moves" in text
 
 
 def test_explain_sees_that_no_caster_lies_in_the_lights_view(tmp_path: Path) -> None:
