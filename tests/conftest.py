@@ -25,11 +25,12 @@ if WORKER is not None:  # the workers share the cores; what is about threads ask
 BY_FIRST_PARAMETER = ("test_conformance.py", "test_checks_can_fail.py", "test_cuda_compiles.py")
 """Files whose tests are many and need nothing from each other: each value of the first parameter may go elsewhere."""
 LONG = ("test_twins.py", "test_cuda_compiles.py")
-"""Files that come first, as a core that began one of them last would keep all others waiting."""
+"""Files that come first, as a core that began one of them last would keep all others waiting. Twins send nearly all
+kernels to work, which compiles them while the others are at CUDA: hardly any is compiled by two processes at a time."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    items.sort(key=lambda item: item.path.name not in LONG)
+    items.sort(key=lambda item: LONG.index(item.path.name) if item.path.name in LONG else len(LONG))
 
 
 @pytest.hookimpl(optionalhook=True)
