@@ -9,6 +9,7 @@ import small_scenes
 import warp as wp
 
 import wkernels  # fixes Warp's options before any test module defines a kernel
+from algorithms.projections import table
 from wkernels.device import launch as launching
 from wkernels.scene.model import Scene
 
@@ -44,6 +45,15 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
             return nodeid.partition("-")[0] if file.endswith(BY_FIRST_PARAMETER) and "[" in test else file
 
     return Scheduler(config, log)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _own_parts_alone() -> Iterator[None]:
+    """Parts of projections that a file's tests add are gone after it: which file comes next in a process is chance."""
+    before = {folder: dict(parts) for folder, parts in table._added.items()}
+    yield
+    for folder, parts in before.items():
+        table._added[folder] = parts
 
 
 @pytest.fixture(scope="session", autouse=True)
