@@ -99,6 +99,13 @@ class Adjacency:
         first = np.unique(self.component, return_index=True)[1].astype(np.int32)
         return first[len(first) - len(self.component_closed) :]
 
+    @cached_property
+    def faces_by_component(self) -> tuple[np.ndarray, np.ndarray]:
+        """Faces with a component, int32 (n,), one component after the other, and where each begins, (C + 1,)."""
+        order = np.argsort(self.component, kind="stable").astype(np.int32)
+        begin = np.searchsorted(self.component[order], np.arange(len(self.component_closed) + 1))
+        return order[begin[0] :], (begin - begin[0]).astype(np.int32)
+
     def sum_at_edges(self, values: np.ndarray) -> np.ndarray:
         """Sums over the faces of each edge, (E,), of ``values`` (S,)."""
         return np.add.reduceat(values, self.edge_begin[:-1], dtype=np.int32) if len(self.edges) else np.zeros(0, int)

@@ -42,12 +42,35 @@ class Volumes:
             the edge counts.
         near_caps: int32 (3 n,), the faces that the silhouette is the border of.
         far_caps: int32 (3 n,); none where the light is a direction, as all lie in one point.
+        side_component: int32, to which caster each triangle of ``sides`` belongs, by the adjacency's numbers.
+        cap_component: int32, likewise of ``near_caps``, and of ``far_caps`` where there are any.
     """
 
     points_ws: wp.array
     sides: wp.array
     near_caps: wp.array
     far_caps: wp.array
+    side_component: np.ndarray
+    cap_component: np.ndarray
+
+    def sides_of(self, chosen: np.ndarray) -> wp.array:
+        """``sides`` of the casters that are chosen, bool (C,)."""
+        return _picked(self.sides, chosen[self.side_component])
+
+    def caps_of(self, chosen: np.ndarray) -> wp.array:
+        """``near_caps``, and then ``far_caps``, of the casters that are chosen, bool (C,)."""
+        kept = chosen[self.cap_component]
+        parts = [_picked(caps, kept).numpy() for caps in (self.near_caps, self.far_caps) if len(caps)]
+        indices = np.concatenate(parts) if parts else np.zeros(0, np.int32)
+        return wp.array(indices, dtype=int, device=self.sides.device)
+
+
+def _picked(triangles: wp.array, kept: np.ndarray) -> wp.array:
+    """Those of triangles (3 n,) that are kept, bool (n,)."""
+    if kept.all():
+        return triangles
+    indices = np.ascontiguousarray(triangles.numpy().reshape(-1, 3)[kept].ravel())
+    return wp.array(indices, dtype=int, device=triangles.device)
 
 
 def sweep_volumes(
@@ -79,4 +102,6 @@ def sweep_volumes(
     inputs = [points_ws, wp.array(used, dtype=int, device=work.device), wp.vec4(*light_ws)]
     work.launch(extrude, away, inputs, [extruded])
     far = caps[:, ::-1] + away if at_infinity else caps[:0]
-    return Volumes(extruded, upload(np.concatenate(sides)), upload(caps), upload(far))
+    side_component = np.tile(np.repeat(silhouettes.component, silhouettes.weight), len(sides))
+    cap_component = adjacency.component[np.flatnonzero(silhouettes.turns)]
+    return Volumes(extruded, upload(np.concatenate(sides)), upload(caps), upload(far), side_component, cap_component)

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from wkernels.casters.components import Components, find_components, hiding_by_lit, holding
 from wkernels.casters.edges import Adjacency, caster_edges
 from wkernels.casters.extrusion import Volumes, sweep_volumes
 from wkernels.casters.silhouettes import (
@@ -28,11 +29,23 @@ def pull_edges(work: Workspace, geometry: Geometry) -> Adjacency:
     return out
 
 
+def pull_components(work: Workspace, geometry: Geometry) -> Components:
+    """``find_components``, built anew when a vertex has moved."""
+    adjacency = pull_edges(work, geometry)
+
+    def build(old: Components | None) -> Components:
+        return find_components(geometry.points_ws.numpy(), adjacency)
+
+    inputs = (adjacency, geometry.version)
+    out: Components = work.product("caster components", "caster components", inputs, build)
+    return out
+
+
 def pull_silhouettes(
     work: Workspace,
     geometry: Geometry,
     light_ws: np.ndarray,
-    closed: Literal["lit", "unlit", "both"] = "lit",
+    closed: Literal["hiding", "lit", "unlit", "both"] = "hiding",
     slot: Hashable = 0,
 ) -> Silhouettes:
     """The casters' silhouettes from a light point, built anew when it or a vertex has moved.
@@ -41,14 +54,19 @@ def pull_silhouettes(
         work: Keeps them.
         geometry: The casters.
         light_ws: Light point (4,), float64, rebased world; w = 1, or 0 for a direction.
-        closed: Which faces of closed components count, ``counted_turns``.
+        closed: Which faces of closed components count, ``counted_turns``; ``hiding``: of each the side that hides all
+            that it hides, wherever light and receivers are, which is the lit one unless the light is inside it.
         slot: Which of several light points this is; each has its own.
     """
     adjacency = pull_edges(work, geometry)
 
     def build(old: Silhouettes | None) -> Silhouettes:
         facing = facing_of(work, geometry.points_ws, geometry.caster_indices, light_ws)
-        return find_silhouettes(adjacency, counted_turns(adjacency, facing, closed))
+        if closed != "hiding":
+            return find_silhouettes(adjacency, counted_turns(adjacency, facing, closed))
+        components = pull_components(work, geometry)
+        inside = holding(components, adjacency, geometry.points_ws.numpy(), light_ws)
+        return find_silhouettes(adjacency, counted_turns(adjacency, facing, hiding_by_lit(components, inside)))
 
     inputs = (adjacency, geometry.version, np.asarray(light_ws, np.float64).tobytes())
     out: Silhouettes = work.product(Product.SILHOUETTES, ("silhouettes", slot, closed), inputs, build)

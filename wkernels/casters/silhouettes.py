@@ -61,7 +61,7 @@ def facing_of(work: Workspace, points_ws: wp.array, indices: wp.array, light_ws:
 
 
 def counted_turns(
-    adjacency: Adjacency, facing: np.ndarray, closed: Literal["lit", "unlit", "both"] = "lit"
+    adjacency: Adjacency, facing: np.ndarray, closed: Literal["lit", "unlit", "both"] | np.ndarray = "lit"
 ) -> np.ndarray:
     """How each face counts, int8 (T,): 1 as it is, -1 turned over, 0 not at all.
 
@@ -69,11 +69,13 @@ def counted_turns(
         adjacency: Of the casters.
         facing: int8 (T,), of ``facing_of``.
         closed: Which faces of closed components count; of others all do. ``unlit`` ones have the border of the ``lit``,
-            and a volume that begins at them leaves the lit surface out. ``both`` count every body twice.
+            and a volume that begins at them leaves the lit surface out. ``both`` count every body twice. Or, for each
+            component, whether it is the lit ones, bool (C,).
     """
     counts = adjacency.component != NO_COMPONENT
-    if closed != "both" and len(adjacency.component_closed):
-        counts &= ~adjacency.component_closed[adjacency.component] | ((facing > 0) == (closed == "lit"))
+    if not (isinstance(closed, str) and closed == "both") and len(adjacency.component_closed):
+        lit = closed == "lit" if isinstance(closed, str) else closed[adjacency.component]
+        counts &= ~adjacency.component_closed[adjacency.component] | ((facing > 0) == lit)
     return np.where(counts, facing, 0).astype(np.int8)
 
 
