@@ -84,9 +84,12 @@ class ExpectedFailure:
 
 
 class Params(BaseModel):
-    """Base of all parameter models: unknown names are refused, numbers are finite, values do not change."""
+    """Base of all parameter models: unknown names are refused, numbers are finite, values do not change.
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    Defaults are checked too: one may not go together with another value that is given.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True)
 
 
 def setting(default: Any, text: str, *, unit: str, source: str = "", **bounds: Any) -> Any:

@@ -120,7 +120,8 @@ def kind_of_file(path: str | Path, overrides: Iterable[str] = ()) -> Kind:
 def kind_of_folder(out: Path) -> Kind:
     """The kind of a result folder, complete or not, as its environment.json says; InputError where that is broken."""
     record = Store(out).environment() if (out / "environment.json").is_file() else {}
-    name = record.get("run", {}).get("kind")
+    run = record.get("run")
+    name = run.get("kind") if isinstance(run, Mapping) else None
     return find(name if name in names() else PLAIN)
 
 

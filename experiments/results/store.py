@@ -19,6 +19,7 @@ from typing import Any, Literal, Self
 from experiments.config.source import load_yaml
 from experiments.metrics.registry import MAP_METRICS, METRICS, SCORES
 from experiments.results.result_tables import FAILURE_COLUMNS, RECORD, ResultTables, cannot_write
+from experiments.results.sound import RenderedRecord, RunRecord, check_config, check_environment, check_table
 from experiments.results.tables import Row, table_text, write_text
 from wkernels.errors import InputError
 
@@ -55,6 +56,9 @@ class Store(ResultTables):
     tables: Mapping[str, tuple[str, ...]] = TABLES
     main = "frames"
     place = "frame"
+    record: type[RunRecord] = RenderedRecord
+    unique: tuple[str, ...] = ("label", "frame")
+    """Columns of the main table that no two rows share."""
 
     # ---- Opening ----
 
@@ -63,7 +67,7 @@ class Store(ResultTables):
         """An earlier run's folder, for reading.
 
         Raises:
-            InputError: It is no result folder.
+            InputError: It is no result folder, or one of its files is damaged.
         """
         out = Path(out)
         if not out.is_dir():
@@ -74,7 +78,20 @@ class Store(ResultTables):
         store = cls(out)
         if absent := {"identity", "run", "environment", "metrics"} - set(store.environment()):
             raise InputError(f"has no '{min(absent)}'; it is not from a run.", file=out / "environment.json")
+        store.check()
         return store
+
+    def check(self) -> None:
+        """Raises InputError where a table, the record or the configuration is not what a run writes."""
+        check_environment(self.environment(), self.record, self.out / "environment.json")
+        check_config(self.config(), self.out / "config.yaml")
+        self.check_tables()
+
+    def check_tables(self) -> None:
+        """Raises InputError where a row is not what a run writes."""
+        for name, columns in self.tables.items():
+            unique = self.unique if name == self.main else ()
+            check_table(name, self.rows(name), columns, self.out / f"{name}.csv", unique)
 
     @classmethod
     def open(cls, out: str | Path, config: str, environment: Mapping[str, Any], *, resume: bool) -> Self:
@@ -108,6 +125,8 @@ class Store(ResultTables):
         started = self.started()
         if started:
             self._check_same(config_file, config, environment, resume)
+            if resume:
+                self.check_tables()
         if started and resume:
             self.recover()
             self._note_resumed(environment)
@@ -142,12 +161,14 @@ class Store(ResultTables):
             return False
 
     def _check_same(self, config_file: Path, config: str, environment: Mapping[str, Any], resume: bool) -> None:
-        if config_file.read_text(encoding="utf-8") != config:
+        if not config_file.is_file() or config_file.read_text(encoding="utf-8", errors="replace") != config:
             message = "cannot be resumed with another" if resume else "holds results of another"
             raise InputError(f"the folder {message} configuration; give a new folder with --out.", file=config_file)
         if not resume:
             return
-        old, new = self.environment().get("identity", {}), environment.get("identity", {})
+        old, new = self.environment().get("identity"), environment.get("identity", {})
+        if not isinstance(old, Mapping):
+            raise InputError("must be an object.", file=self.out / "environment.json", key="identity")
         changed = sorted(key for key in {*old, *new} if old.get(key) != new.get(key))
         if changed:
             shown = "; ".join(f"{key} was {old.get(key)}, is {new.get(key)}" for key in changed)

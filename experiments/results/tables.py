@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from wkernels.errors import InputError
+
 Row = Mapping[str, Any]
 
 _READ_WRITE = os.O_RDWR | getattr(os, "O_BINARY", 0)
@@ -170,7 +172,10 @@ def read_table(path: Path) -> list[dict[str, str]]:
     """The rows of a CSV table that are complete: a line without its line end, as a kill leaves it, is not."""
     if not path.is_file():
         return []
-    return parse_table(path.read_bytes().decode("utf-8", errors="replace"))
+    try:
+        return parse_table(path.read_bytes().decode("utf-8", errors="replace"))
+    except csv.Error as error:
+        raise InputError(f"is not a table: {error}.", file=path) from None
 
 
 def parse_table(text: str) -> list[dict[str, str]]:

@@ -10,9 +10,11 @@ from experiments.config.source import StrictModel
 
 LARGEST = 1e12
 """Of a coordinate or length, so that squared lengths stay finite in float32."""
+SMALLEST = 1e-12
+"""Of a length that must not be zero, so that squared lengths do not vanish in float32."""
 
 Coordinate = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
-Positive = Annotated[float, Field(gt=0, le=LARGEST)]
+Positive = Annotated[float, Field(ge=SMALLEST, le=LARGEST)]
 NonNegative = Annotated[float, Field(ge=0, le=LARGEST)]
 Vector3 = tuple[Coordinate, Coordinate, Coordinate]
 Frame = Annotated[int, Field(ge=-1_000_000, le=1_000_000)]

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from experiments.results.result_tables import FAILURE_COLUMNS
+from experiments.results.sound import ConvergenceRecord
 from experiments.results.store import Store
 
 CONVERGENCE_COLUMNS = (
@@ -24,6 +25,8 @@ class ConvergenceStore(Store):
     )
     main = "convergence"
     place = "step"
+    record = ConvergenceRecord
+    unique = ("label", "step")
 
     def _images_of(self, row: Mapping[str, str]) -> list[Path]:
         step, run = int(row["step"]), self.environment()["run"]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from experiments.kinds.savings.run import EVERYTHING
+from experiments.kinds.savings.run import COLUMNS, EVERYTHING
 from experiments.report.page import record, write_page
+from experiments.results.sound import WHOLE, RunRecord, check_environment, check_table
 from experiments.results.store import Store
 from experiments.results.tables import read_table
 from wkernels.errors import InputError
@@ -21,7 +22,9 @@ def write_savings_report(out: str | Path) -> Path:
         InputError: ``out`` has no rows, or cannot be written.
     """
     store = Store(Path(out))
+    check_environment(store.environment(), RunRecord, store.out / "environment.json")
     rows = read_table(store.out / FILE)
+    check_table("savings", rows, [name for name in COLUMNS if name not in WHOLE], store.out / FILE)
     if not rows:
         raise InputError("has no rows yet; there is nothing to report.", file=store.out / FILE)
     return write_page(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments.report.page import record, write_page
+from experiments.results.sound import RunRecord, check_environment, check_table
 from experiments.results.store import Store
 from experiments.results.tables import read_table
 from wkernels.errors import InputError
@@ -18,7 +19,10 @@ FILE = "stability.csv"
 
 def stability_values(folder: Path) -> dict[str, Any] | None:
     """What the page's heat map shows of a folder's stability.csv; None where it has none."""
+    from experiments.kinds.stability.table import COLUMNS
+
     rows = read_table(folder / FILE)
+    check_table("stability", rows, COLUMNS, folder / FILE)
     return _values(rows) if rows else None
 
 
@@ -68,6 +72,7 @@ def write_stability_report(out: str | Path) -> Path:
         InputError: ``out`` has no rows, or cannot be written.
     """
     store = Store(Path(out))
+    check_environment(store.environment(), RunRecord, store.out / "environment.json")
     values = stability_values(store.out)
     if values is None:
         raise InputError("has no rows yet; there is nothing to report.", file=store.out / FILE)

@@ -19,6 +19,7 @@ from experiments.rendering.engine import check_device
 from experiments.results.environment import describe_identity, describe_machine, file_digest, text_digest
 from experiments.results.failures import attempt_report, raise_failures
 from experiments.results.result_tables import FAILURE_COLUMNS
+from experiments.results.sound import RunRecord
 from experiments.results.store import Store
 from experiments.results.tables import Row
 from wkernels.device.launch import default_threads
@@ -99,6 +100,8 @@ class StabilityStore(Store):
     tables: Mapping[str, tuple[str, ...]] = MappingProxyType({"stability": COLUMNS, "failures": FAILURE_COLUMNS})
     main = "stability"
     place = "case"
+    record = RunRecord
+    unique = ()
 
     def recover(self) -> None:
         rows = self.rows("stability")

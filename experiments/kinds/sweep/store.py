@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
+from experiments.results.sound import SweepRecord, check_environment
 from experiments.results.store import Store
 from experiments.results.tables import read_table
 
@@ -33,10 +34,14 @@ class SweepStore(Store):
         }
     )
     main = "pareto"
+    record = SweepRecord
+    unique = ("scene", "label")
 
     def scene_names(self) -> list[str]:
-        """Names of the scenes, in file order."""
-        return [str(scene["name"]) for scene in self.environment()["run"].get("scenes", [])]
+        """Names of the scenes, in file order; InputError where the record is damaged."""
+        environment = self.environment()
+        check_environment(environment, self.record, self.out / "environment.json")
+        return [scene["name"] for scene in environment["run"]["scenes"]]
 
     def scene(self, name: str) -> Path:
         """Result folder of a scene."""

@@ -57,8 +57,11 @@ def recompute_sweep(out: str | Path) -> int:
     from experiments.kinds.walkthrough.report import write_report
 
     store, count = SweepStore(Path(out)), 0
+    store.check()
     for name in store.scene_names():
-        scene = Store(store.scene(name))
+        if not store.scene(name).is_dir():
+            continue
+        scene = Store.existing(store.scene(name))
         if scene.rows("frames"):
             count += recompute_metrics(scene.out)
             write_report(scene.out)
@@ -84,6 +87,7 @@ def write_sweep(out: str | Path, *, scene_failures: Sequence[Row] | None = None)
     from experiments.report.page import writing_report
 
     store = SweepStore(Path(out))
+    store.check()
     if scene_failures is None:
         scene_failures = [row for row in store.rows("failures") if row["what"] == "scene"]
     with writing_report(store.out):

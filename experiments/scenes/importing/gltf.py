@@ -126,9 +126,9 @@ class _Reader:
 
     def _targets(self, primitive: Primitive) -> np.ndarray:
         out = []
-        for target in self._document.get(primitive.data, "targets", list, []):
+        for target in self._document.objects(primitive.data, "targets"):
             offsets = np.zeros_like(primitive.vertices)
-            if isinstance(target, dict) and "POSITION" in target:
+            if "POSITION" in target:
                 offsets = self._document.accessor(target["POSITION"]).astype(np.float64)
             if offsets.shape != primitive.vertices.shape:
                 raise MeshError(f"a morph target has {len(offsets)} vertices for {len(primitive.vertices)}.")
@@ -137,7 +137,7 @@ class _Reader:
 
     def _joint_matrices(self, skin: Any, worlds: dict[int, np.ndarray]) -> np.ndarray:
         """(n, J, 4, 4), n = 1 where no joint moves."""
-        joints = {j for j in self._document.get(self._document.item("skins", skin), "joints", list, []) if j in worlds}
+        joints = {j for j in self._document.indices(self._document.item("skins", skin), "joints") if j in worlds}
         frames = max((len(worlds[joint]) for joint in joints), default=1)
         held = {joint: np.broadcast_to(worlds[joint], (frames, 4, 4)) for joint in joints}
         return np.stack(

@@ -40,12 +40,12 @@ class Animation:
         data = self._chosen(asked)
         if data is None:
             return
-        samplers = document.get(data, "samplers", list, [])
+        samplers = document.objects(data, "samplers")
         channels = []
-        for channel in document.get(data, "channels", list, []):
+        for channel in document.objects(data, "channels"):
             target = document.get(channel, "target", dict, {})
-            at, path = channel.get("sampler"), target.get("path")
-            if not isinstance(at, int) or not 0 <= at < len(samplers):
+            at, path = document.get(channel, "sampler", int), document.get(target, "path", str)
+            if at is None or not 0 <= at < len(samplers):
                 raise MeshError(f"animation {self.name!r} uses sampler {at}, of which there are {len(samplers)}.")
             if path not in (*_WIDTHS, "weights"):
                 asked.tell(f"left out: the animation of {str(path)[:40]!r}.")
@@ -102,8 +102,6 @@ class Animation:
 
     def _keys(self, sampler: Any) -> tuple[np.ndarray, np.ndarray, str]:
         document, what = self._document, f"a sampler of animation {self.name!r}"
-        if not isinstance(sampler, dict):
-            raise MeshError(f"{what} is no object.")
         times = document.accessor(sampler.get("input"))[:, 0].astype(np.float64)
         values = document.accessor(sampler.get("output")).astype(np.float64)
         kind = sampler.get("interpolation", "LINEAR")

@@ -27,7 +27,7 @@ from experiments.scenes.importing.description import (
 from experiments.scenes.importing.usd_lights import usd_light
 from experiments.scenes.meshes.axes import TO_Y_UP
 from experiments.scenes.meshes.reading import MeshError, one_line
-from experiments.scenes.meshes.usd import drawn_prims
+from experiments.scenes.meshes.usd import drawn_prims, open_stage
 from experiments.scenes.meshes.usd_prims import prim_triangles
 
 Key = tuple[str, int]  # path of a prim, and which of its copies in point instancers
@@ -45,12 +45,12 @@ def read(path: Path, asked: Asked) -> ImportedScene:
     """The stage, in metres if it says its unit and with y up; raises MeshError."""
     if importlib.util.find_spec("pxr") is None:
         raise MeshError("is USD, which needs an extra: pip install 'wkernels[formats]'.")
-    from pxr import Tf, Usd
+    from pxr import Tf
 
     try:
-        stage = Usd.Stage.Open(str(path))
+        stage = open_stage(path)
         for error in stage.GetCompositionErrors():
-            asked.tell(f"is incomplete: {one_line(Exception(str(error)))}.")
+            asked.tell(f"is incomplete: {one_line(error)}.")
         return _Reader(stage, asked).scene()
     except Tf.ErrorException as error:
         raise MeshError(f"cannot be read: {one_line(error)}.") from None
@@ -92,6 +92,8 @@ class _Reader:
         if asked.animation == "none" or not (stage.HasAuthoredTimeCodeRange() and end > start):
             return rest
         per_second = stage.GetTimeCodesPerSecond()
+        if not 0.0 < per_second < float("inf"):
+            raise MeshError(f"has {per_second:g} time codes per second.")
         fps = asked.fps or per_second
         count = frame_count((end - start) / per_second, fps)
         self._out.notes.append(f"time codes {start:g} to {end:g}: {count} frames at {fps:g} per second")
@@ -105,6 +107,8 @@ class _Reader:
             unit = float(UsdGeom.GetStageMetersPerUnit(self._stage))
         if not 0.0 < unit < float("inf"):
             raise MeshError(f"its unit is {unit:g} m.")
+        if up not in TO_Y_UP:
+            raise MeshError(f"has the up axis {up or 'nothing'}, which is none.")
         self._out.to_scene = np.eye(4)
         self._out.to_scene[:3, :3] = unit * TO_Y_UP[up]
         if up != "Y":

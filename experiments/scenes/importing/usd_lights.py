@@ -32,9 +32,9 @@ def usd_light(prim: Any, time: Any, tell: Callable[[str], None]) -> Light | None
         attribute = prim.GetAttribute(f"inputs:{name}")
         if attribute.ValueMightBeTimeVarying():
             tell(f"the {name} of light {prim.GetPath()} changes with time; it is held as on the first frame.")
-        value = float(attribute.Get(time))
-        if not 0.0 <= value < float("inf"):
-            raise MeshError(f"light {prim.GetPath()} has the {name} {value:g}.")
+        value = attribute.Get(time)
+        if not isinstance(value, float) or not 0.0 <= value < float("inf"):
+            raise MeshError(f"light {prim.GetPath()} has the {name} {value}.")
         return value
 
     def flag(name: str) -> bool:
@@ -81,7 +81,8 @@ def _shining(light: Light, prim: Any, time: Any, area: float) -> Light:
     color = np.array(api.GetColorAttr().Get(time), np.float64)
     if api.GetEnableColorTemperatureAttr().Get(time):
         color = color * np.array(UsdLux.BlackbodyTemperatureAsRgb(api.GetColorTemperatureAttr().Get(time)))
-    strength = float(api.GetIntensityAttr().Get(time)) * 2.0 ** float(api.GetExposureAttr().Get(time))
+    with np.errstate(over="ignore"):
+        strength = float(api.GetIntensityAttr().Get(time) * np.exp2(api.GetExposureAttr().Get(time)))
     if api.GetNormalizeAttr().Get(time) and area > 0.0:
         strength /= area
     red, green, blue = (strength * color).tolist()

@@ -47,7 +47,7 @@ def read(path: Path, tell: Tell) -> Triangles:
         copies = gltf_nodes.instances(document, index)
         weights = default_weights(document, node, f"node {index}")
         for primitive in primitives(document, node["mesh"], weights, tell):
-            materials.add(primitive.data.get("material", -1))
+            materials.add(document.get(primitive.data, "material", int, -1))
             if "skin" in node:
                 joints = gltf_nodes.joint_matrices(document, node["skin"], worlds)
                 parts.add(skinned(document, primitive, joints), primitive.faces)

@@ -18,6 +18,7 @@ _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 51
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _GLB = b"glTF"
 _GLB_JSON, _GLB_BIN = 0x4E4F534A, 0x004E4942
+_MOST_DIGITS = 300  # of a whole number that float64 can hold
 _MOST_WITHOUT_DATA = 1 << 24  # elements of an accessor that no bytes stand behind
 
 
@@ -35,7 +36,9 @@ class Document:
         self._chunk: bytes | None = None
         text = self._unpack(data) if data.startswith(_GLB) else data
         try:
-            self.json: dict[str, Any] = json.loads(text.decode("utf-8-sig"))
+            self.json: dict[str, Any] = json.loads(
+                text.decode("utf-8-sig"), object_hook=_without_nulls, parse_int=_whole_number
+            )
         except (ValueError, RecursionError) as error:
             raise MeshError(f"its JSON cannot be read: {one_line(error)}.") from None
         if not isinstance(self.json, dict):
@@ -46,7 +49,9 @@ class Document:
         self._buffers: dict[int, bytes] = {}
 
     def get(self, data: dict[str, Any], key: str, kind: type, default: Any = None) -> Any:
-        """``data[key]``, which must be of a kind, or the default where it is missing."""
+        """``data[key]`` of an object, which must be of a kind, or the default where it is missing."""
+        if not isinstance(data, dict):
+            raise MeshError(f"has {str(data)[:40]} where an object with the key {key} must be.")
         value = data.get(key, default)
         if value is not None and (not isinstance(value, kind) or (kind is int and isinstance(value, bool))):
             raise MeshError(f"its {key} must be {_KINDS.get(kind, kind.__name__)}, not {str(value)[:40]}.")
@@ -54,9 +59,20 @@ class Document:
 
     def items(self, key: str) -> list[dict[str, Any]]:
         """All of the top level's ``nodes``, ``meshes``, ..."""
-        items = self.get(self.json, key, list, [])
+        return self.objects(self.json, key)
+
+    def objects(self, data: dict[str, Any], key: str) -> list[dict[str, Any]]:
+        """A list of objects, empty where it is missing."""
+        items = self.get(data, key, list, [])
         if not all(isinstance(item, dict) for item in items):
             raise MeshError(f"its {key} must be objects.")
+        return items
+
+    def indices(self, data: dict[str, Any], key: str) -> list[int]:
+        """A list of whole numbers, empty where it is missing."""
+        items = self.get(data, key, list, [])
+        if not all(isinstance(item, int) and not isinstance(item, bool) for item in items):
+            raise MeshError(f"its {key} must be whole numbers.")
         return items
 
     def item(self, key: str, index: Any) -> dict[str, Any]:
@@ -131,13 +147,13 @@ class Document:
         return data[offset : offset + length]
 
     def _kind(self, data: dict[str, Any], what: str) -> tuple[np.dtype, int]:
-        component, shape = data.get("componentType"), data.get("type")
+        component, shape = self.get(data, "componentType", int), self.get(data, "type", str)
         if component not in _COMPONENTS or shape not in _WIDTHS:
             raise MeshError(f"{what} is of an unknown type ({component}, {shape}).")
         return np.dtype(_COMPONENTS[component]), _WIDTHS[shape]
 
     def _elements(self, data: dict[str, Any], kind: np.dtype, width: int, count: int, what: str) -> np.ndarray:
-        held, stride = self.view_bytes(data["bufferView"])
+        held, stride = self.view_bytes(data.get("bufferView"))
         offset = self.get(data, "byteOffset", int, 0)
         size = kind.itemsize * width
         stride = size if stride is None else stride
@@ -214,6 +230,15 @@ class Document:
         if text is None:
             raise MeshError("has no JSON chunk.")
         return text
+
+
+def _without_nulls(data: dict[str, Any]) -> dict[str, Any]:
+    """An object of JSON; a key that is null is one that is missing."""
+    return {key: value for key, value in data.items() if value is not None}
+
+
+def _whole_number(text: str) -> int | float:
+    return int(text) if len(text) < _MOST_DIGITS else float(text)
 
 
 _KINDS: dict[type, str] = {dict: "an object", list: "a list", int: "a whole number", str: "a text"}

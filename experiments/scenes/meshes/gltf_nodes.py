@@ -44,8 +44,8 @@ def roots(document: Document) -> list[int]:
     """The nodes of the default scene; without scenes all that are nobody's children."""
     if document.items("scenes"):
         scene = document.item("scenes", document.get(document.json, "scene", int, 0))
-        return list(document.get(scene, "nodes", list, []))
-    children = {child for node in document.items("nodes") for child in document.get(node, "children", list, [])}
+        return document.indices(scene, "nodes")
+    children = {child for node in document.items("nodes") for child in document.indices(node, "children")}
     return [index for index in range(len(document.items("nodes"))) if index not in children]
 
 
@@ -71,7 +71,7 @@ def walk(document: Document, local: LocalMatrix | None = None) -> Iterator[tuple
         shown = document.get(document.get(node, "extensions", dict, {}), VISIBILITY, dict, {}).get("visible", True)
         visible = visible and shown is not False
         yield index, world, visible
-        waiting += [(child, world, visible) for child in reversed(document.get(node, "children", list, []))]
+        waiting += [(child, world, visible) for child in reversed(document.indices(node, "children"))]
 
 
 def instances(document: Document, index: int) -> list[np.ndarray]:
@@ -99,8 +99,8 @@ def instances(document: Document, index: int) -> list[np.ndarray]:
 def joint_matrices(document: Document, skin: Any, worlds: dict[int, np.ndarray]) -> np.ndarray:
     """Bind to world space of every joint of a skin, (J, 4, 4), from node to world space of all nodes."""
     data = document.item("skins", skin)
-    joints = document.get(data, "joints", list, [])
-    if not joints or not all(isinstance(joint, int) and joint in worlds for joint in joints):
+    joints = document.indices(data, "joints")
+    if not joints or not all(joint in worlds for joint in joints):
         raise MeshError(f"skin {skin} has no joints, or joints that are not in the scene.")
     bind = np.tile(np.eye(4), (len(joints), 1, 1))
     if "inverseBindMatrices" in data:

@@ -45,10 +45,8 @@ def primitives(document: Document, mesh: Any, weights: np.ndarray | None, tell: 
     data = document.item("meshes", mesh)
     if weights is None:
         weights = default_weights(document, data, f"mesh {mesh}")
-    for index, primitive in enumerate(document.get(data, "primitives", list, [])):
+    for index, primitive in enumerate(document.objects(data, "primitives")):
         what = f"primitive {index} of mesh {mesh}"
-        if not isinstance(primitive, dict):
-            raise MeshError(f"{what} is no object.")
         mode = document.get(primitive, "mode", int, _TRIANGLES)
         if mode in _POINTS_AND_LINES:
             tell(f"left out: {what}, which is made of points or lines.")
@@ -127,7 +125,7 @@ def _decode_draco(document: Document, extension: dict[str, Any], what: str) -> t
 def _morphed(
     document: Document, primitive: dict[str, Any], vertices: np.ndarray, weights: np.ndarray | None, what: str
 ) -> np.ndarray:
-    targets = document.get(primitive, "targets", list, [])
+    targets = document.objects(primitive, "targets")
     if not targets or weights is None:
         return vertices
     if len(weights) != len(targets):

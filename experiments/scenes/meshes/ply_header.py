@@ -71,13 +71,19 @@ def read_header(data: bytes) -> Header:
         elif key == b"element":
             if len(words) != 3:
                 raise MeshError("an element needs a name and a number.", number)
-            elements.append(Element(words[1].decode("latin-1"), integer_of(words[2], number), number))
+            name = words[1].decode("latin-1")
+            if any(name == element.name for element in elements):
+                raise MeshError(f"has the element {name!r} twice.", number)
+            elements.append(Element(name, integer_of(words[2], number), number))
             if elements[-1].size < 0:
                 raise MeshError(f"there cannot be {elements[-1].size} of an element.", number)
         elif key == b"property":
             if not elements:
                 raise MeshError("a property stands before any element.", number)
-            elements[-1].properties.append(_property(words[1:], order or "", number))
+            prop = _property(words[1:], order or "", number)
+            if any(prop.name == other.name for other in elements[-1].properties):
+                raise MeshError(f"an element has the property {prop.name!r} twice.", number)
+            elements[-1].properties.append(prop)
         elif key not in (b"", b"comment", b"obj_info") and number > 1:
             raise MeshError(f"{shown(key)} is no word of a PLY header.", number)
     if order is None:

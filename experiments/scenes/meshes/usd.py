@@ -12,6 +12,7 @@ import numpy as np
 
 from experiments.scenes.meshes.axes import TO_Y_UP
 from experiments.scenes.meshes.reading import MeshError, Parts, Tell, check_indices, one_line, plain_bytes
+from experiments.scenes.meshes.usd_binary import check_binary
 from experiments.scenes.meshes.usd_prims import attribute_values, prim_triangles
 from experiments.scenes.primitives import Triangles
 
@@ -31,14 +32,24 @@ def read(path: Path, tell: Tell) -> Triangles:
 
 
 def open_stage(path: Path) -> Any:
-    """The stage of a file; text that is not UTF-8 is taken for Latin-1, and a byte order mark is left out.
+    """The stage of a file, whose attributes have values of the types that their schemas give them.
+
+    Text that is not UTF-8 is taken for Latin-1, and a byte order mark is left out.
 
     Raises:
         Tf.ErrorException: USD cannot read it.
+        MeshError: USD would end the process, or an attribute is of another type.
     """
+    stage = _opened(path)
+    _check_types(stage)
+    return stage
+
+
+def _opened(path: Path) -> Any:
     from pxr import Sdf, Usd
 
     data = path.read_bytes()
+    check_binary(path, data)
     text = plain_bytes(data)
     if text.startswith(b"#usda"):
         try:
@@ -51,6 +62,16 @@ def open_stage(path: Path) -> Any:
             if layer.ImportFromString(words):
                 return Usd.Stage.Open(layer)
     return Usd.Stage.Open(str(path))
+
+
+def _check_types(stage: Any) -> None:
+    """Raises MeshError where an attribute was written with another type than its schema's, which USD lets pass."""
+    for prim in stage.TraverseAll():
+        for attribute in prim.GetAuthoredAttributes():
+            wanted = attribute.GetTypeName()
+            for spec in attribute.GetPropertyStack():
+                if spec.typeName != wanted:
+                    raise MeshError(f"{attribute.GetPath()} is of the type {spec.typeName}, not {wanted}.")
 
 
 def _read(stage: Any, tell: Tell) -> Triangles:
