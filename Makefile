@@ -4,12 +4,15 @@ WORKERS ?= auto
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: help demo test check bench table picture clean
+COUNT ?= 100000
+
+.PHONY: help demo test fuzz check bench table picture clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo    render the demo walkthrough and write its report"
 	@echo "make test    run the tests on all cores (WORKERS=N: on N)"
+	@echo "make fuzz    read 100000 broken meshes, experiments and result folders (COUNT=N: N; an hour on 2 cores)"
 	@echo "make check   lint and type check"
 	@echo "make bench   time passes beside other renderers, frames, scaling and start-up (5 minutes)"
 	@echo "make table   bring the tables of README.md and docs/formats.md up to date"
@@ -27,6 +30,9 @@ demo: $(STAMP)
 
 test: $(STAMP)
 	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadscope --no-loadscope-reorder
+
+fuzz: $(STAMP)
+	@$(BIN)/python tests/fuzz/run_fuzz.py --count $(COUNT)
 
 check: $(STAMP)
 	$(BIN)/ruff check .

@@ -17,6 +17,8 @@ Known artefacts: N samples give N + 1 levels.
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import warp as wp
 
@@ -56,7 +58,9 @@ class ReferenceMultisample(Technique):
         start: int = setting(
             0, "first point of the set: later parts of it refine an image of the earlier ones", unit="points", ge=0
         )
-        sample_set: str = setting("halton", "point set: halton, r2, poisson_disc or random", unit="name")
+        sample_set: Literal["halton", "r2", "poisson_disc", "stratified", "random"] = setting(
+            "halton", "point set", unit="name"
+        )
 
     def render(self, frame: Frame) -> wp.array:
         count = self.params.samples

@@ -1,7 +1,7 @@
 """What is read back from a result folder is checked first: somebody may have edited, cut off or mixed up its files.
 
-Every reader of a folder relies on this: cells of number columns are numbers, whole where they count, a label has one row
-for each frame, and environment.json has what reports tell. What is not so is an InputError with file, line and column.
+Every reader of a folder relies on this: cells of number columns are numbers, whole where they count, a label has one
+row for each frame, and environment.json has what reports tell. What is not so is an InputError with file, line, column.
 """
 
 from __future__ import annotations
@@ -19,12 +19,24 @@ from wkernels.errors import InputError
 
 TEXTS = frozenset(
     {
-        *("technique", "label", "pass", "what", "reason", "error", "over", "scene", "on_front", "dominated_by", "place"),
-        *("budget_label", "target_label", "error_to_reference", "case", "level", "status", "detail"),
+        *(
+            "technique",
+            "label",
+            "pass",
+            "what",
+            "reason",
+            "error",
+            "over",
+            "scene",
+            "on_front",
+            "dominated_by",
+            "place",
+        ),
+        *("budget_label", "target_label", "error_to_reference", "place", "case", "level", "status", "detail"),
     }
 )
 """Columns that hold words."""
-WHOLE = frozenset({"frame", "step", "repeat", "count", "n"})
+WHOLE = frozenset({"frame", "step", "repeat", "count"})
 """Columns that count."""
 ABOUT_ALL = frozenset({"failures", "left_out"})
 """Tables whose rows may be about no label or no frame, but the whole run."""
@@ -136,7 +148,9 @@ def check_environment(data: Mapping[str, Any], run: type[RunRecord], path: Path)
             model.model_validate(part)
         except ValidationError as error:
             first = problems(error, model, part)[0]
-            raise InputError(first.message, file=path, key=".".join(map(str, filter(None, (key, *first.loc))))) from None
+            raise InputError(
+                first.message, file=path, key=".".join(map(str, filter(None, (key, *first.loc))))
+            ) from None
 
 
 def check_config(data: Mapping[str, Any], path: Path) -> None:

@@ -13,6 +13,9 @@ LARGEST = 1e12
 SMALLEST = 1e-12
 """Of a length that must not be zero, so that squared lengths do not vanish in float32."""
 
+NARROWEST = 1e-6
+"""Field of view, degrees: a pixel of it still has a direction of its own in float32."""
+
 Coordinate = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Positive = Annotated[float, Field(ge=SMALLEST, le=LARGEST)]
 NonNegative = Annotated[float, Field(ge=0, le=LARGEST)]
@@ -253,7 +256,7 @@ class CameraOptions(StrictModel):
     target: Vector3 | None = None
     up: Direction = (0.0, 1.0, 0.0)
     projection: Literal["perspective", "orthographic"] = "perspective"
-    fov_deg: Annotated[float, Field(gt=0, lt=180)] = 60.0
+    fov_deg: Annotated[float, Field(ge=NARROWEST, lt=180)] = 60.0
     height: Positive | None = None
     near: Positive | None = None
     far: Positive | None = None

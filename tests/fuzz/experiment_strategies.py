@@ -24,7 +24,7 @@ from experiments.kinds.sweep.config import SweepFile
 from experiments.kinds.walkthrough.config import WalkthroughFile
 from experiments.metrics.registry import GROUPS, METRICS
 from experiments.scenes import schema
-from experiments.schema.models import FrameRange, Image, Reference, RunFile, Views
+from experiments.schema.models import FrameRange, Image, Reference, RunFile, ThirdPerson, Views
 from experiments.schema.view_kinds import KINDS
 
 WIDTH, HEIGHT = 16, 9
@@ -71,10 +71,13 @@ def small() -> Overrides:
         (RunFile, "lead_in"): st.just(0),
         (RunFile, "light"): st.sampled_from([0, 0, 0, 1]),
         (Views, "frames"): st.none() | st.just([0]),
-        (Views, "kinds"): st.just("all") | st.lists(st.sampled_from(sorted(KINDS)), min_size=1, max_size=2, unique=True),
+        (Views, "kinds"): st.just("all")
+        | st.lists(st.sampled_from(sorted(KINDS)), min_size=1, max_size=2, unique=True),
         (Views, "labels"): st.none(),
         (Views, "modes"): st.lists(st.sampled_from(["det", "x", "y"]), min_size=1, unique=True),
         (Views, "image"): _SIZE,
+        (Views, "third_person"): from_model(ThirdPerson, {(ThirdPerson, "eye"): st.none()}),
+        (ThirdPerson, "up"): st.none() | st.just([0, 0, 1]),
         (ConvergenceFile, "steps"): st.sampled_from([[1], [1, 2], [1, 3], [2, 4]]),
         (ConvergenceFile, "frame"): st.integers(0, 2),
         (ConvergenceFile, "crop"): st.none() | st.just({"x": 0, "y": 1, "width": 9, "height": 5}),
@@ -199,18 +202,31 @@ def experiments(kind: str, names: tuple[str, ...]) -> SearchStrategy[dict[str, A
         own[model, "techniques"] = st.lists(st.sampled_from(names), min_size=1, max_size=3, unique=True)
         own[model, "cases"] = st.lists(st.sampled_from(sorted(CASES)), min_size=1, max_size=3, unique=True)
     made = from_model(model, {**small(), **own})
+    if kind == "analysis":
+        return made.map(_with_depth)
     return made.map(lambda data: _whole(kind, data)) if "scene" in model.model_fields else made
 
 
 def _whole(kind: str, data: dict[str, Any]) -> dict[str, Any]:
     """What several keys of an experiment ask of each other."""
     if kind == "sweep":
-        data.setdefault("scene", {"meshes": [{"primitive": "plane", "size": [9, 9]}], "lights": [_LAMP], "camera": _EYE})
+        data.setdefault(
+            "scene", {"meshes": [{"primitive": "plane", "size": [9, 9]}], "lights": [_LAMP], "camera": _EYE}
+        )
         data.pop("scenes", None)
     data["reference"] = data.get("reference") or {"samples": 4}
     if data.get("light", 0) >= len(data["scene"]["lights"]):
         data["light"] = 0
     return data
+
+
+def _with_depth(data: dict[str, Any]) -> dict[str, Any]:
+    camera = data["camera"]
+    near, far = sorted((camera["near"], camera["far"]))
+    for curve in data["curves"]:
+        curve.pop("near", None)
+        curve.pop("far", None)
+    return {**data, "camera": {**camera, "near": near, "far": far if far > near else 2.0 * near}}
 
 
 _LAMP = {"kind": "rectangle", "center": [0, 6, 0], "edge_u": [1, 0, 0], "edge_v": [0, 0, 1]}

@@ -20,7 +20,15 @@ _OWN = ("input", "out", "home", "tmp", "cwd", "log", "healthy")
 COMPILER = "wp_pch_"
 """How the temporary folders begin that Warp's compiler makes and removes."""
 
-_WRITES = {"os.mkdir": 2, "os.rename": 2, "os.remove": 1, "os.rmdir": 1, "os.link": 2, "os.symlink": 2, "os.truncate": None}
+_WRITES = {
+    "os.mkdir": 2,
+    "os.rename": 2,
+    "os.remove": 1,
+    "os.rmdir": 1,
+    "os.link": 2,
+    "os.symlink": 2,
+    "os.truncate": None,
+}
 """Events of Python's audit that change files, and which of their arguments is the folder that a name is relative to."""
 
 
@@ -67,7 +75,9 @@ class Watch:
     """Notes every file that Python opens for writing, or makes, moves and deletes, outside the rooms it may."""
 
     def __init__(self, rooms: Rooms) -> None:
-        self._good = tuple(str(path) for path in (rooms.out, rooms.root / "tmp", *rooms.allowed, Path("/dev"), Path("/proc")))
+        self._good = tuple(
+            str(path) for path in (rooms.out, rooms.root / "tmp", *rooms.allowed, Path("/dev"), Path("/proc"))
+        )
         self._watched = False
         self.found: list[str] = []
         sys.addaudithook(self._hook)

@@ -114,15 +114,23 @@ def gltf_files() -> list[bytes]:
             file = GltfFile()
             if name == "scene":
                 camera = {"type": "perspective", "perspective": {"yfov": 0.9, "znear": 0.1, "zfar": 100}}
-                file.json["cameras"] = [camera, {"type": "orthographic", "orthographic": {"xmag": 3, "ymag": 3, "znear": 0, "zfar": 9}}]
+                file.json["cameras"] = [
+                    camera,
+                    {"type": "orthographic", "orthographic": {"xmag": 3, "ymag": 3, "znear": 0, "zfar": 9}},
+                ]
                 file.node(camera=0, translation=[0, 1, 6])
                 file.node(camera=1, translation=[0, 1, 6], rotation=[0, 0, 0, 1])
-                file.json["materials"] = [{"pbrMetallicRoughness": {"baseColorFactor": [1, 0.5, 0.2, 1]}, "alphaMode": "MASK"}]
+                file.json["materials"] = [
+                    {"pbrMetallicRoughness": {"baseColorFactor": [1, 0.5, 0.2, 1]}, "alphaMode": "MASK"}
+                ]
                 child = file.node(root=False, mesh=file.mesh(vertices, faces, material=0), scale=[1, 2, 1])
                 parent = file.node(children=[child], translation=[0, 0, -1])
                 file.node(translation=[0, 5, 0], extensions=file.light(type="point", intensity=3.0, color=[1, 1, 0.5]))
                 file.node(rotation=[-0.7071, 0, 0, 0.7071], extensions=file.light(type="directional"))
-                file.animate((parent, "translation", [0, 0.1], [[0, 0, -1], [2, 0, -1]]), (child, "rotation", [0, 0.05, 0.1], [[0, 0, 0, 1], [0, 0.7071, 0, 0.7071], [0, 1, 0, 0]]))
+                file.animate(
+                    (parent, "translation", [0, 0.1], [[0, 0, -1], [2, 0, -1]]),
+                    (child, "rotation", [0, 0.05, 0.1], [[0, 0, 0, 1], [0, 0.7071, 0, 0.7071], [0, 1, 0, 0]]),
+                )
             elif name == "skin":
                 more = {
                     "JOINTS_0": file.accessor(np.array([[0, 1, 0, 0]] * 5)),

@@ -244,7 +244,9 @@ def _of_number(kind: type, limits: Bounds, loc: tuple) -> Iterator[Breakage]:
     if limits.low is not None:
         yield Breakage(loc, "below its bound", limits.low if limits.above else limits.low - max(1.0, abs(limits.low)))
     if limits.high is not None:
-        yield Breakage(loc, "above its bound", limits.high if limits.below else limits.high + max(1.0, abs(limits.high)))
+        yield Breakage(
+            loc, "above its bound", limits.high if limits.below else limits.high + max(1.0, abs(limits.high))
+        )
 
 
 def broken(data: Any, breakage: Breakage) -> Any:

@@ -50,7 +50,9 @@ def check_picture(visibility: np.ndarray, receivers: np.ndarray) -> None:
     """Raises Fault unless visibility is a number from 0 to 1 where a receiver (bool (H, W)) is seen, and NaN elsewhere."""
     seen = np.isfinite(visibility)
     if not np.array_equal(seen, receivers):
-        raise Fault(f"{np.count_nonzero(seen != receivers)} pixels are numbers without a receiver, or receivers without")
+        raise Fault(
+            f"{np.count_nonzero(seen != receivers)} pixels are numbers without a receiver, or receivers without"
+        )
     if seen.any() and not (visibility[seen].min() >= -_ROUNDING and visibility[seen].max() <= 1.0 + _ROUNDING):
         raise Fault(f"visibility runs from {visibility[seen].min()} to {visibility[seen].max()}")
 

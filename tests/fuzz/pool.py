@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Protocol
 
 import isolation
@@ -128,9 +129,11 @@ def work(
     pipe: Connection,
     at: Any,
     limits: Limits,
+    environment: Mapping[str, str],
 ) -> None:
     """Tries the inputs of jobs from a pipe until None comes; answers with outcomes and findings."""
     rooms.make()
+    os.environ |= environment
     log = os.open(rooms.root / "log", os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND)
     for stream in (1, 2):
         os.dup2(log, stream)
@@ -138,7 +141,6 @@ def work(
     warnings.simplefilter("ignore")
     targets = make_targets()
     watch = Watch(rooms)
-    isolation.limit_memory(limits.memory)
     while (job := pipe.recv()) is not None:
         target = targets[job.target]
         os.truncate(rooms.root / "log", 0)
@@ -150,6 +152,7 @@ def work(
             except BaseException:  # ours, not what is tried
                 pipe.send(traceback.format_exc())
                 return
+            isolation.limit_memory(limits.memory)  # more than now: kernels and caches of earlier inputs stay
             at[0] = index  # begun, and the clock runs
             outcome, finding = _tried(target, job.seed, index, rooms, faults, watch)
             at[0] = -1
@@ -199,13 +202,13 @@ def without_numbers(text: str) -> str:
     return "".join(out)[:100]
 
 
-def keep(
-    faults: Path, target: str, seed: int, index: int, kind: str, where: str, text: str, source: Path
-) -> Finding:
+def keep(faults: Path, target: str, seed: int, index: int, kind: str, where: str, text: str, source: Path) -> Finding:
     """Copies an input beside a note of what happened; of many that are alike the first ones."""
     folder = faults / f"{target}-{seed}-{index}-{kind}"
     shutil.copytree(source, folder / "input", dirs_exist_ok=True, symlinks=True)
-    (folder / "what.txt").write_text(f"{target}, seed {seed}, index {index}: {kind}\n{where}\n\n{text}\n", errors="replace")
+    (folder / "what.txt").write_text(
+        f"{target}, seed {seed}, index {index}: {kind}\n{where}\n\n{text}\n", errors="replace"
+    )
     return Finding(target, seed, index, kind, where, text, folder)
 
 
@@ -223,11 +226,13 @@ def _empty(folder: Path) -> None:
 class _Worker:
     """One process, the job that it has, and the input that it is at."""
 
-    def __init__(self, make: Callable, rooms: Rooms, faults: Path, limits: Limits, context: Any) -> None:
+    def __init__(
+        self, make: Callable, rooms: Rooms, faults: Path, limits: Limits, environment: Mapping[str, str], context: Any
+    ) -> None:
         self.rooms, self._limits = rooms, limits
         self.pipe, theirs = context.Pipe()
         self._at = context.Array("l", [-2], lock=False)
-        arguments = (make, rooms, faults, theirs, self._at, limits)
+        arguments = (make, rooms, faults, theirs, self._at, limits, environment)
         self.process = context.Process(target=work, args=arguments, daemon=True)
         self.process.start()
         theirs.close()
@@ -293,7 +298,7 @@ def run(
     *,
     workers: int = 1,
     limits: Limits | None = None,
-    allowed: Sequence[Path] = (),
+    caches: Mapping[str, Path] = MappingProxyType({}),
     tell: Callable[[Tally], None] = lambda tally: None,
 ) -> Tally:
     """Tries all jobs in worker processes.
@@ -304,7 +309,7 @@ def run(
         out: Folder for the workers' rooms and for ``faults``.
         workers: How many processes.
         limits: Of one input.
-        allowed: Folders that inputs may write besides their output folder: caches.
+        caches: Folders that inputs may write besides their output folder, by the variables that name them.
         tell: Is told now and then how far it is.
     """
     context = multiprocessing.get_context("forkserver")
@@ -312,6 +317,7 @@ def run(
     limits, tally, begun = limits or Limits(), Tally(), time.monotonic()
     faults = out / "faults"
     faults.mkdir(parents=True, exist_ok=True)
+    environment = {**{name: str(path) for name, path in caches.items()}, "WKERNELS_THREADS": "1"}
     waiting: deque[Job] = deque()
     slow: set[Job] = set()  # inputs that had their time once; the second time they are hangs
     source = iter(todo)
@@ -320,7 +326,8 @@ def run(
         return waiting.popleft() if waiting else next(source, None)
 
     def started(number: int) -> _Worker:
-        return _Worker(make_targets, Rooms(out / f"worker-{number}", tuple(allowed)), faults, limits, context)
+        rooms = Rooms(out / f"worker-{number}", tuple(caches.values()))
+        return _Worker(make_targets, rooms, faults, limits, environment, context)
 
     crew = {number: started(number) for number in range(workers)}
     for worker in crew.values():

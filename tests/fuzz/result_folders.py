@@ -50,12 +50,15 @@ def healthy(kind: str) -> Path:
     """The folder of a finished run of a kind, with its experiment file beside it; made once in a process."""
     home = Path.cwd().parent / "out"
     kept = Path.cwd().parent / "healthy"
+    if (kept / kind / "made").is_file():  # by an earlier process of this worker
+        return kept / kind
     folder = home / "healthy"
     with contextlib.redirect_stdout(io.StringIO()):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "a.yaml").write_text(dump_yaml({"kind": kind, **FILES[kind]}))
         run_experiment(folder / "a.yaml", folder / "run", resume=False, **_OPTIONS)
-    shutil.copytree(folder, kept / kind)
+    shutil.copytree(folder, kept / kind, dirs_exist_ok=True)
+    (kept / kind / "made").touch()
     shutil.rmtree(folder)
     return kept / kind
 
@@ -193,5 +196,3 @@ def _edit_json(rng: Random, path: Path) -> None:
 
 def _edit_words(rng: Random, path: Path) -> None:
     path.write_bytes(mutations.mutated_text(rng, path.read_bytes()))
-
-

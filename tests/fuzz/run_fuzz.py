@@ -46,7 +46,7 @@ def _fuzz(asked: argparse.Namespace) -> int:
         pool.jobs(shares, asked.count, seed),
         out,
         workers=asked.workers,
-        allowed=use_caches(out),
+        caches=caches_below(out),
         tell=lambda tally: _tell(tally, asked.count),
     )
     print(_progress(tally, asked.count))
@@ -59,18 +59,16 @@ def _fuzz(asked: argparse.Namespace) -> int:
     return 1 if tally.findings else 0
 
 
-def use_caches(out: Path) -> list[Path]:
-    """Caches that inputs may write: kernels are kept where they always are, all else below ``out``."""
+def caches_below(out: Path) -> dict[str, Path]:
+    """Caches that inputs may write, by variable: kernels are kept where they always are, all else below ``out``."""
     import platformdirs
     import warp as wp
 
     kernels = Path(os.environ.get("WARP_CACHE_PATH") or platformdirs.user_cache_path("warp") / wp.config.version)
-    places = {"WARP_CACHE_PATH": kernels, "WKERNELS_CACHE": out / "cache", "MPLCONFIGDIR": out / "matplotlib"}
-    for name, path in places.items():
+    caches = {"WARP_CACHE_PATH": kernels, "WKERNELS_CACHE": out / "cache", "MPLCONFIGDIR": out / "matplotlib"}
+    for path in caches.values():
         path.mkdir(parents=True, exist_ok=True)
-        os.environ[name] = str(path)
-    os.environ["WKERNELS_THREADS"] = "1"
-    return list(places.values())
+    return caches
 
 
 def _progress(tally: pool.Tally, count: int) -> str:
@@ -92,7 +90,7 @@ def _again(folder: Path, out: Path) -> int:
     shutil.rmtree(rooms, ignore_errors=True)
     shutil.copytree(folder / "input", rooms / "input")
     (rooms / "out").mkdir()
-    use_caches(out)
+    os.environ |= {name: str(path) for name, path in caches_below(out).items()}
     print(targets()[folder.name.partition("-")[0]].check(rooms / "input", rooms / "out"))
     return 0
 

@@ -125,6 +125,8 @@ def _clip_body(body: ConvexBody, plane: np.ndarray) -> ConvexBody:
     kept = [face for face in faces if len(face) >= 3]
     # whatever the cut left on the plane bounds the cap
     rim = [face[_snapped_distance(face, plane, scale) == 0.0] for face in faces if len(face)]
+    if not rim:  # no face is left, or the plane is not finite
+        return ConvexBody()
     cap = _cap(np.concatenate(rim), plane[:3], scale)
     return ConvexBody(tuple(kept if cap is None else [*kept, cap]))
 

@@ -27,7 +27,7 @@ from experiments.scenes.importing.description import (
 from experiments.scenes.importing.usd_lights import usd_light
 from experiments.scenes.meshes.axes import TO_Y_UP
 from experiments.scenes.meshes.reading import MeshError, one_line
-from experiments.scenes.meshes.usd import drawn_prims, open_stage
+from experiments.scenes.meshes.usd import NOT_UTF8, drawn_prims, open_stage
 from experiments.scenes.meshes.usd_prims import prim_triangles
 
 Key = tuple[str, int]  # path of a prim, and which of its copies in point instancers
@@ -54,6 +54,8 @@ def read(path: Path, asked: Asked) -> ImportedScene:
         return _Reader(stage, asked).scene()
     except Tf.ErrorException as error:
         raise MeshError(f"cannot be read: {one_line(error)}.") from None
+    except UnicodeDecodeError:
+        raise MeshError(NOT_UTF8) from None
 
 
 class _Reader:

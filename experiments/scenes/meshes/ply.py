@@ -15,6 +15,7 @@ from experiments.scenes.meshes.strips import strips_to_triangles
 from experiments.scenes.primitives import Triangles
 
 _INDICES = ("vertex_indices", "vertex_index")
+_LONGEST = 2**31  # corners of a face
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +117,7 @@ class _Text:
                 value = self._take(1, element)
                 if prop.count is None:
                     scalars[prop.name].append(float(value[0]))
-                elif value[0] < 0 or value[0] != int(value[0]):
+                elif not 0 <= value[0] < _LONGEST or value[0] != int(value[0]):
                     raise MeshError(f"a list has the length {value[0]:g}.", lines[-1])
                 else:
                     found[prop.name].append(self._take(int(value[0]), element))

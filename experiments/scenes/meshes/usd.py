@@ -16,6 +16,8 @@ from experiments.scenes.meshes.usd_binary import check_binary
 from experiments.scenes.meshes.usd_prims import attribute_values, prim_triangles
 from experiments.scenes.primitives import Triangles
 
+NOT_UTF8 = "cannot be read: it has a name or a word that is not UTF-8 text."
+"""Of files that Python cannot be told of by USD."""
 _DEEPEST = 16  # levels of instancers within prototypes
 
 
@@ -29,6 +31,8 @@ def read(path: Path, tell: Tell) -> Triangles:
         return _read(open_stage(path), tell)
     except Tf.ErrorException as error:
         raise MeshError(f"cannot be read: {one_line(error)}.") from None
+    except UnicodeDecodeError:
+        raise MeshError(NOT_UTF8) from None
 
 
 def open_stage(path: Path) -> Any:

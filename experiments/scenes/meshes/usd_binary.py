@@ -16,7 +16,7 @@ from experiments.scenes.meshes import usd_probe
 from experiments.scenes.meshes.reading import MeshError
 
 _BINARY = (b"PXR-USDC", b"PK")  # a crate; a package, which may hold crates
-_SECONDS, _SECONDS_PER_MB = 8, 1  # of processor time
+_SECONDS, _SECONDS_PER_MB = 4, 1  # of processor time
 _MEGABYTES, _MEGABYTES_PER_MB = 3000, 300  # of address space; USD itself takes one thousand
 _IDLE = 10  # times as long by the clock, for one that waits
 

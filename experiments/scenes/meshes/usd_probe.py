@@ -1,4 +1,4 @@
-"""Reads everything in a USD file and ends; ``usd_binary`` starts it as a process of its own. Imports nothing but USD."""
+"""Reads everything in a USD file and ends: a process of its own, which ``usd_binary`` starts. Imports USD alone."""
 
 from __future__ import annotations
 
