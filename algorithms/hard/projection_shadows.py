@@ -96,7 +96,7 @@ class ProjectionShadows(Technique):
     family = "hard"
     paper = ("blinn1988", "schwaerzler2009", "heckbert1997")
     products = (Product.G_BUFFER,)
-    needs = Needs(planar_receiver=True)
+    needs = Needs(planar_receiver=True, whole_casters=True)
     stability_limits: ClassVar[dict[str, str]] = {
         "light_place": "a light in the receiver's plane flattens nothing onto it: the projection has rank 1",
         "grazing": "the flattened casters reach to where float32 has no digits left as the light nears the plane",

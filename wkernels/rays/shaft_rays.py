@@ -20,6 +20,7 @@ from wkernels.rays.caster_tree import WIDTH, CasterTree
 from wkernels.rays.light_proofs import LightHull, shaft_frame, shaft_of
 from wkernels.rays.shaft_culling import reach_of_children, reach_of_triangles, slopes_of_group, view_leaf
 from wkernels.rays.single_rays import NO_RECEIVER, PROVEN_DARK, PROVEN_LIT, TRACED, ray_origin
+from wkernels.scene.cutouts import OPAQUE, is_cut_out
 from wkernels.scene.geometry import CASTS, RECEIVES
 
 GROUP_LANES = wp.constant(64)  # samples of a group, which meet a triangle in one step
@@ -87,6 +88,32 @@ def edge_planes(tree: CasterTree, leaf: int, k: int, origin_ws: wp.vec3, is_poin
         out.height = -out.height
     out.offset = is_point * wp.vec3(wp.dot(out.a, origin_ws), wp.dot(out.b, origin_ws), wp.dot(out.c, origin_ws))
     return out
+
+
+@wp.func
+def cut_corner(tree: CasterTree, slot: int):
+    """Where the vertices of the triangle in a slot of the leaves begin if it is cut out, else -1."""
+    out = int(-1)
+    if tree.cutouts.count > 0:
+        at = 3 * tree.order[slot]
+        if tree.cutouts.texture[tree.indices[at]] != OPAQUE:
+            out = at
+    return out
+
+
+@wp.func
+def meets_cut_triangle(tree: CasterTree, at: int, planes: EdgePlanes, way: wp.vec3, is_point: float):
+    """Whether a way meets a cut-out triangle where it is there: a way's products are its coordinates on it."""
+    w_a = wp.dot(planes.a, way) - planes.offset[0]
+    w_b = wp.dot(planes.b, way) - planes.offset[1]
+    w_c = wp.dot(planes.c, way) - planes.offset[2]
+    meets = wp.min(wp.min(w_a, w_b), w_c) >= 0.0
+    if meets and is_point != 0.0:
+        meets = (w_a + w_b + w_c) * BEFORE_SAMPLE >= planes.height
+    if meets:
+        b = tree.indices[at + 1]
+        meets = not is_cut_out(tree.cutouts, tree.indices[at], b, tree.indices[at + 2], w_a, w_b, w_c)
+    return meets
 
 
 @wp.kernel
@@ -200,10 +227,18 @@ def trace_shafts(
                 c_x, c_y, c_z = planes.c[0], planes.c[1], planes.c[2]
                 a_0, b_0, c_0 = planes.offset[0], planes.offset[1], planes.offset[2]
                 height = planes.height
+                cut_at = cut_corner(tree, index * WIDTH + k)
                 for g in range(groups):
                     if (touches[k] & (1 << g)) == 0:
                         continue
                     base = g * GROUP_LANES
+                    if cut_at >= 0:  # one way after the other: few ask the texture
+                        for lane in range(GROUP_LANES):
+                            if hidden[base + lane] < 0.0:
+                                way = wp.vec3(xs[base + lane], ys[base + lane], zs[base + lane])
+                                if meets_cut_triangle(tree, cut_at, planes, way, hull.is_point):
+                                    hidden[base + lane] = 1.0
+                        continue
                     if hull.is_point == 0.0:  # directions: no offsets, and no end of the way
                         for lane in range(GROUP_LANES):
                             x = xs[base + lane]

@@ -5,11 +5,14 @@ from __future__ import annotations
 import hashlib
 import itertools
 from collections.abc import Callable, Hashable
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
 
 from wkernels.device.launch import launch
+from wkernels.errors import InputError
+from wkernels.scene.cutouts import Cutouts, cutouts_of, upload_cutouts
 from wkernels.scene.model import Mesh, Scene
 from wkernels.scene.origin import PRECISION, eye_box, origin_of
 from wkernels.scene.rest import Poses
@@ -64,6 +67,20 @@ class Bounds:
         return boxes[:, pick, np.arange(3)].reshape(-1, 3)
 
 
+class CasterBuffers(NamedTuple):
+    """Some of the casting triangles by themselves.
+
+    Attributes:
+        points_ws: vec3 (V,), a view of ``Geometry.points_ws`` that follows it.
+        indices: int32 (3 T,), into them.
+        cutouts: Of them.
+    """
+
+    points_ws: wp.array
+    indices: wp.array
+    cutouts: Cutouts
+
+
 class Geometry:
     """All meshes of a scene in one set of arrays, casting meshes first, and of these the ones that never move.
 
@@ -78,6 +95,7 @@ class Geometry:
         triangle_normal_ws: vec3, shape (T,), unit.
         triangle_mesh: int32, shape (T,).
         caster_sets: int32 arrays like ``indices``: of casting meshes ``all``, the ``still`` or the ``moving`` ones.
+        cutouts: Where triangles are not there, by their vertices.
         mesh_flags: int32, shape (M,): CASTS | RECEIVES | MOVES.
         mesh_diffuse: vec3, shape (M,).
         moving: Whether any mesh may move.
@@ -94,6 +112,7 @@ class Geometry:
         self.device = device
         self.threads = threads
         self.meshes: list[Mesh] = sorted(scene.meshes, key=lambda mesh: (not mesh.casts, mesh.moving))
+        self.cutouts = upload_cutouts(self.meshes, device)
         self.version = 0
         self._frame: int | None = None
         self._shown: dict[int, np.ndarray] = {}
@@ -257,19 +276,25 @@ class Geometry:
         sight = self._eyes.sight(box.low + self.origin_ws, box.high + self.origin_ws)
         return min(float(np.linalg.norm(box.high - box.low)), 2.0 * PRECISION * sight)
 
-    def caster_buffers(self, *, moving: bool) -> tuple[wp.array, wp.array]:
-        """The casting triangles of the meshes that move, or of those that stand still.
-
-        Returns:
-            Vertices, vec3 (V,), a view of ``points_ws`` that follows it, and int32 (3 T,) indices into them.
-        """
+    def caster_buffers(self, *, moving: bool) -> CasterBuffers:
+        """The casting triangles of the meshes that move, or of those that stand still."""
         chosen = [i for i, mesh in enumerate(self.meshes) if mesh.casts and self.moves(i) == moving and len(mesh.faces)]
         if not chosen:
-            return self.points_ws, wp.empty(0, dtype=wp.int32, device=self.device)
+            return CasterBuffers(self.points_ws, wp.empty(0, dtype=wp.int32, device=self.device), self.cutouts)
         region = slice(int(self._ranges[chosen[0]].start), int(self._ranges[chosen[-1]].stop))
         faces = [self.meshes[i].faces + (self._ranges[i].start - region.start) for i in chosen]
         indices = np.ascontiguousarray(np.concatenate(faces).ravel(), dtype=np.int32)
-        return self.points_ws[region], wp.array(indices, dtype=wp.int32, device=self.device)
+        on_device = wp.array(indices, dtype=wp.int32, device=self.device)
+        return CasterBuffers(self.points_ws[region], on_device, cutouts_of(self.cutouts, region))
+
+    def require_whole(self, what: str) -> None:
+        """Raises InputError where a caster is cut out by a texture, and so has no outline that its triangles know.
+
+        Args:
+            what: Who asks, as the sentence's subject, such as ``silhouettes``.
+        """
+        if (cut := next((mesh.name for mesh in self.meshes if mesh.casts and mesh.mask is not None), None)) is not None:
+            raise InputError(f"{what} need whole casters; the mesh '{cut}' is cut out by a texture.")
 
     def _update_normals(self) -> None:
         launch(

@@ -88,10 +88,11 @@ def _came_in(scene: ImportedScene, meshes: Sequence[Mesh]) -> str:
     cameras = ", ".join(
         f"{camera.name} ({'orthographic' if camera.fov_deg is None else 'perspective'})" for camera in scene.cameras
     )
-    moving = sum(mesh.moving for mesh in meshes)
+    moving, masked = sum(mesh.moving for mesh in meshes), sum(mesh.mask is not None for mesh in meshes)
+    cut = f", {masked} cut out by a texture" if masked else ""
     return "; ".join(
         [
-            f"{len(meshes)} meshes of {len(scene.shapes)} shapes, {moving} of them moving",
+            f"{len(meshes)} meshes of {len(scene.shapes)} shapes, {moving} of them moving{cut}",
             f"lights: {', '.join(f'{count} {kind}' for kind, count in kinds.items()) or 'none'}",
             f"cameras: {cameras or 'none'}",
             f"{scene.frames} frame{'' if scene.frames == 1 else 's'}",
@@ -122,6 +123,7 @@ def _meshes(scene: ImportedScene, names: FreeNames, tell: Any) -> tuple[Mesh, ..
             object_to_ws=sampled if len(pose) > 1 else StaticPose(pose[0]),
             moving=sampled.moving or shape.deformation is not None,
             deformed=shape.deformation,
+            mask=shape.mask,
         )
         meshes.append(mesh if one.diffuse is None else replace(mesh, diffuse=one.diffuse))
     return tuple(meshes)
