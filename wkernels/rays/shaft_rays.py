@@ -93,12 +93,10 @@ def edge_planes(tree: CasterTree, leaf: int, k: int, origin_ws: wp.vec3, is_poin
 @wp.func
 def cut_corner(tree: CasterTree, slot: int):
     """Where the vertices of the triangle in a slot of the leaves begin if it is cut out, else -1."""
-    out = int(-1)
-    if tree.cutouts.count > 0:
-        at = 3 * tree.order[slot]
-        if tree.cutouts.texture[tree.indices[at]] != OPAQUE:
-            out = at
-    return out
+    at = 3 * tree.order[slot]
+    if tree.cutouts.texture[tree.indices[at]] == OPAQUE:
+        at = -1
+    return at
 
 
 @wp.func
@@ -155,6 +153,7 @@ def trace_shafts(
     # what is far from a receiver is rounded by less than the shaft is widened: it is what lies near that needs slack
     coordinates = wp.max(hull.span, wp.max(wp.max(wp.abs(origin[0]), wp.abs(origin[1])), wp.abs(origin[2])))
     slack = ROUNDING * coordinates * (1.0 + wp.max(steepest, 0.0))  # sides of slope t are 1 + t long or less
+    cuts = tree.cutouts.count > 0
     touched = int(0)
     seen = float(0.0)
     total = float(0.0)
@@ -222,23 +221,24 @@ def trace_shafts(
                 if planes.height == 0.0:  # seen edge on, it hides nothing
                     continue
                 touched += 1
+                if cuts:
+                    cut_at = cut_corner(tree, index * WIDTH + k)
+                    if cut_at >= 0:
+                        for lane in range(groups * GROUP_LANES):  # one way after the other: few ask the texture
+                            if hidden[lane] < 0.0 and (touches[k] & (1 << (lane / GROUP_LANES))) != 0:
+                                way = wp.vec3(xs[lane], ys[lane], zs[lane])
+                                if meets_cut_triangle(tree, cut_at, planes, way, hull.is_point):
+                                    hidden[lane] = 1.0
+                        continue
                 a_x, a_y, a_z = planes.a[0], planes.a[1], planes.a[2]
                 b_x, b_y, b_z = planes.b[0], planes.b[1], planes.b[2]
                 c_x, c_y, c_z = planes.c[0], planes.c[1], planes.c[2]
                 a_0, b_0, c_0 = planes.offset[0], planes.offset[1], planes.offset[2]
                 height = planes.height
-                cut_at = cut_corner(tree, index * WIDTH + k)
                 for g in range(groups):
                     if (touches[k] & (1 << g)) == 0:
                         continue
                     base = g * GROUP_LANES
-                    if cut_at >= 0:  # one way after the other: few ask the texture
-                        for lane in range(GROUP_LANES):
-                            if hidden[base + lane] < 0.0:
-                                way = wp.vec3(xs[base + lane], ys[base + lane], zs[base + lane])
-                                if meets_cut_triangle(tree, cut_at, planes, way, hull.is_point):
-                                    hidden[base + lane] = 1.0
-                        continue
                     if hull.is_point == 0.0:  # directions: no offsets, and no end of the way
                         for lane in range(GROUP_LANES):
                             x = xs[base + lane]
