@@ -32,10 +32,11 @@ VolumeRule = Literal["zpass", "zfail", "per_caster"]
 SLACK = 1e-5  # share of distances: some hundred float32 roundings
 
 
-class UnseenVolumes(Omission):
-    """What a view saves."""
+class Uncounted(Omission):
+    """What a view saves, and what z-pass cannot do."""
 
     BESIDE = "shadow volumes of casters", "they lie beside the view"
+    AT_EYE = "entries into volumes that the eye may be in", "z-pass takes the near plane for lit"
 
 
 @wp.kernel
@@ -65,8 +66,9 @@ def count_volumes(
         gbuffer: What the eye sees; of all casters too.
         eye: The view that it was drawn through.
         light_ws: Light point (4,), float64, rebased world; w = 1, or 0 for a direction.
-        rule: ``zpass``, of no meaning where the eye is in a volume; ``zfail``; or, ``per_caster``, z-pass for casters
-            (connected components) of which it is certain that nothing of their volumes lies at the near plane.
+        rule: ``zpass``, of no meaning where the eye is in a volume, which is told where it may be; ``zfail``; or,
+            ``per_caster``, z-pass for casters (connected components) of which it is certain that nothing of their
+            volumes lies at the near plane.
         slot: Which of several light points this is.
 
     Returns:
@@ -76,14 +78,15 @@ def count_volumes(
     volumes = pull_volumes(work, geometry, silhouettes, light_ws, slot=slot)
     components = pull_components(work, geometry)
     seen = np.ones(len(components.low), bool)
-    if work.may_leave_out(UnseenVolumes.BESIDE):
+    if work.may_leave_out(Uncounted.BESIDE):
         seen = may_be_seen(components, eye, light_ws)
         if not seen.all():
-            work.leave_out(UnseenVolumes.BESIDE, count=int((~seen).sum()))
-    passing = seen if rule == "zpass" else np.zeros_like(seen)
-    if rule == "per_caster":
-        passing = seen & ~may_hold_near_plane(components, eye, light_ws)
-    failing = seen & ~passing
+            work.leave_out(Uncounted.BESIDE, count=int((~seen).sum()))
+    at_eye = seen if rule == "zfail" else seen & may_hold_near_plane(components, eye, light_ws)
+    if rule == "zpass" and at_eye.any():
+        work.tell(Uncounted.AT_EYE, count=lambda: int(at_eye.sum()))
+    failing = np.zeros_like(seen) if rule == "zpass" else at_eye
+    passing = seen & ~failing
     shape = gbuffer.depth.shape
     total, part = (work.buffer(f"{name} of volumes", shape, wp.int32) for name in ("counts", "some counts"))
     counted = False
