@@ -56,6 +56,8 @@ STILL: list[tuple[str, dict[str, Any]]] = [
     ("vsm", {}),
     ("vsm", {"taps": 21, "bleeding": 0.2}),
     ("projection_aliasing_mitigation", {}),
+    ("shadow_volume_zfail", {}),
+    ("shadow_volume_zpass", {"shadowed": "nonzero"}),
 ]
 OVER_TIME: list[tuple[str, dict[str, Any]]] = [
     ("tc_hard", {}),

@@ -111,13 +111,6 @@ def count_volumes(
     return total
 
 
-def _corners(components: Components) -> np.ndarray:
-    """Corners of all boxes, (C, 8, 3)."""
-    both = np.stack([components.low, components.high], axis=1)  # (C, 2, 3)
-    pick = np.indices((2, 2, 2)).reshape(3, 8).T
-    return both[:, pick, np.arange(3)]
-
-
 def may_be_seen(components: Components, eye: HostView, light_ws: np.ndarray) -> np.ndarray:
     """Whether any of what lies behind a component's box may be in a view, bool (C,); false is certain.
 
@@ -126,14 +119,13 @@ def may_be_seen(components: Components, eye: HostView, light_ws: np.ndarray) -> 
         eye: The view; its far plane does not count.
         light_ws: Light point (4,).
     """
-    corners = _corners(components)
-    ways = corners * light_ws[3] - light_ws[:3]
-    out = np.ones(len(corners), bool)
+    centre, half = components.middle, components.half
+    out = np.ones(len(centre), bool)
     for plane in frustum_planes(eye.ws_to_ss, eye.near, eye.far)[:5]:
-        distance = corners @ plane[:3] + plane[3]
-        slack = SLACK * (np.abs(corners) @ np.abs(plane[:3]) + abs(plane[3]))
-        # all corners beyond one plane, and carried away from it
-        out &= ~((distance < -slack) & (ways @ plane[:3] <= 0.0)).all(axis=1)
+        highest = centre @ plane[:3] + half @ np.abs(plane[:3])
+        slack = SLACK * (np.abs(centre) @ np.abs(plane[:3]) + half @ np.abs(plane[:3]) + abs(plane[3]))
+        # all of it is beyond one plane, and carried away from it
+        out &= ~((highest + plane[3] < -slack) & (highest * light_ws[3] <= light_ws[:3] @ plane[:3]))
     return out
 
 
@@ -149,14 +141,14 @@ def may_hold_near_plane(components: Components, eye: HostView, light_ws: np.ndar
         light_ws: Light point (4,).
     """
     hull = near_hull(eye, light_ws)
+    centre, half = components.middle, components.half
     size = np.abs(hull).max()
-    slack = SLACK * (np.maximum(np.abs(components.low), np.abs(components.high)).max(axis=1, initial=0.0) + size)
+    slack = SLACK * ((np.abs(centre) + half).max(axis=1, initial=0.0) + size)
     apart = np.zeros(len(components.low), bool)
     for axis in range(3):
         for side, border in ((1.0, components.high), (-1.0, components.low)):
             beyond = side * (hull[:, axis] - border[:, axis, None] * hull[:, 3])
             apart |= (beyond >= slack[:, None] * hull[:, 3]).all(axis=1)
-    centre, half = 0.5 * (components.low + components.high), 0.5 * (components.high - components.low)
     for a, b, c in ((0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4), (0, 1, 2)):
         point = hull[a, :3]
         normal = np.cross(hull[b, :3] - point, hull[c, :3] - point * hull[c, 3])
