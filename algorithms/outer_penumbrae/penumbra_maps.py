@@ -10,34 +10,31 @@
 
    (equation 4.7), Z_v being the depth of the vertex, interpolated along sheets: 0 at the silhouette, 1 where the cone
    meets the surface. The least of all is kept.
-3. A pixel that is in the hard shadow is dark; any other has its texel's light.
+3. A pixel that is in the hard shadow is dark; any other that is farther than Z_v has its texel's light.
 
 Of one edge and a flat surface I is the ramp of ``plateaus`` times k_P / k_F, the inverse depths of surface and cone:
 less than the ramp in between, and the same at both ends.
 
 Deviations: sheets and cones are not drawn as triangles; where a texel's ray meets them is found in closed form
-(``casters.outer_edges``), on the outer side of their edge only. A light of another shape than a ball counts as one of
-half its size; a directional light of angle a has cones of slope tan(a / 2).
+(``casters.outer_edges``), on the outer side of their edge only. The map holds Z_v too: without it the caster's own
+border, which shares its texels with what lies behind, would be dark. A light of another shape than a ball counts as one
+of half its size; a directional light of angle a has cones of slope tan(a / 2).
 Known artefacts: too dark: the umbra has the size of the hard shadow, however large the light. Silhouettes are those
 from the centre, which a light that is large against a caster does not see alone. The penumbra has the texels of the
-map, as hard edges have. Where several surfaces share a texel (an edge of the receiver, a leaf over the ground) all of
-them have the light of the nearest.
+map, as hard edges have. Where several surfaces behind Z_v share a texel (an edge of the receiver, a leaf over the
+ground) all of them have the light of the nearest.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from algorithms.outer_penumbrae._silhouette_maps import SilhouetteMaps, Skip, texel_of_receiver, texels_of_run
+from algorithms.outer_penumbrae._silhouette_maps import SilhouetteMaps
 from algorithms.technique import Frame
 from wkernels.casters.outer_edges import OuterEdges, light_radius, nearest_outside
-from wkernels.device.lanes import LANES, Floats, flat_floats, store_run
+from wkernels.device.lanes import LANES, Floats
 from wkernels.device.twin import Twin
-from wkernels.light_maps.comparison_lanes import compare_nearest_run
 from wkernels.light_maps.host_map import HostMap
-from wkernels.light_maps.light_map import Bias, LightMap, compare_nearest
-from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
-from wkernels.light_maps.receivers import receiver_of_pixel
 from wkernels.raster.binning import TileLists, tile_at
 from wkernels.raster.gbuffer import GBuffer
 
@@ -51,12 +48,13 @@ def draw_penumbrae(
     to_plane: wp.mat33,
     in_perspective: int,
     radius: float,
-    light_out: wp.array2d(dtype=float),
+    light_out: wp.array2d(dtype=wp.vec2),
 ):
-    """The least of equation 4.7 in each texel."""
+    """Z_v and I, the least of equation 4.7 in each texel; +inf and 1 where there is no penumbra."""
     row, x = wp.tid()
     y = first + row
     light = float(1.0)
+    own = float(0.0)
     tile = tile_at(lists, y, x)
     begin = lists.begin[tile]
     end = lists.begin[tile + 1]
@@ -68,9 +66,12 @@ def draw_penumbrae(
             near = nearest_outside(edges.line[edge], edges.ramp[edge], p[0] / p[2], p[1] / p[2])
             cone = near[1] + near[0] / radius
             if cone < key:
-                share = (cone - near[1]) / (key - near[1])
-                light = wp.min(light, share * wp.where(in_perspective != 0, key / cone, 1.0))
-    light_out[y, x] = light
+                share = (cone - near[1]) / (key - near[1]) * wp.where(in_perspective != 0, key / cone, 1.0)
+                if share < light:
+                    light = share
+                    own = near[1]
+    begins = wp.where(in_perspective != 0, -1.0 / own, own)
+    light_out[y, x] = wp.vec2(wp.where(light < 1.0, begins, wp.inf), light)
 
 
 @wp.kernel
@@ -82,7 +83,7 @@ def draw_penumbrae_lanes(
     to_plane: wp.mat33,
     in_perspective: int,
     radius: float,
-    light_out: wp.array2d(dtype=float),
+    light_out: wp.array2d(dtype=wp.vec2),
 ):
     """``draw_penumbrae`` of a run of texels, which lies in one tile."""
     row, run = wp.tid()
@@ -91,10 +92,12 @@ def draw_penumbrae_lanes(
     tile = tile_at(lists, y, x0)
     begin = lists.begin[tile]
     end = lists.begin[tile + 1]
+    held = wp.min(LANES, light_out.shape[1] - x0)
     light = Floats(1.0)
+    begins = Floats(float(wp.inf))
     if begin < end:
         keys = Floats(-float(wp.inf))
-        for k in range(wp.min(LANES, light_out.shape[1] - x0)):
+        for k in range(held):
             if depth[y, x0 + k] < wp.inf:
                 keys[k] = wp.where(in_perspective != 0, -1.0 / depth[y, x0 + k], depth[y, x0 + k])
         xs = Floats(0.0)
@@ -120,62 +123,14 @@ def draw_penumbrae_lanes(
                 cone = own + distance / radius
                 share = (cone - own) / (keys[k] - own) * wp.where(in_perspective != 0, keys[k] / cone, 1.0)
                 covered = wp.where(across >= 0.0, 1, 0) & wp.where(cone < keys[k], 1, 0)
-                light[k] = wp.min(light[k], wp.where(covered != 0, share, 1.0))
-    store_run(light, x0, y, light_out)
-
-
-@wp.kernel
-def look_up_light(
-    first: int,
-    gbuffer: GBuffer,
-    light_map: LightMap,
-    bias: Bias,
-    penumbra: wp.array(dtype=float),
-    visibility_out: wp.array2d(dtype=float),
-):
-    """Hard comparison of each pixel, and the light of its texel."""
-    row, x = wp.tid()
-    y = first + row
-    receiver = receiver_of_pixel(gbuffer, light_map, bias, y, x)
-    visible = receiver.visible
-    if receiver.layer >= 0:
-        visible = compare_nearest(light_map, receiver)
-        texel = texel_of_receiver(light_map, receiver)
-        if texel >= 0 and texel < penumbra.shape[0]:
-            visible *= penumbra[texel]
-    visibility_out[y, x] = visible
-
-
-@wp.kernel
-def look_up_light_lanes(
-    first: int,
-    views: LaneViews,
-    light_map: LightMap,
-    bias: Bias,
-    penumbra: wp.array(dtype=float),
-    visibility_out: wp.array2d(dtype=float),
-):
-    """``look_up_light`` of a run of pixels."""
-    row, column = wp.tid()
-    y = first + row
-    x0 = column * LANES
-    receivers = locate_run(views, light_map, bias, x0, y)
-    visible = receivers.visible
-    if receivers.count > 0:
-        visible = compare_nearest_run(views, light_map, receivers)
-        texels = texels_of_run(light_map, receivers)
-        if penumbra.shape[0] > 0:
-            for k in range(LANES):
-                visible[k] = visible[k] * wp.where(texels[k] >= 0, penumbra[wp.max(texels[k], 0)], 1.0)
-    store_run(visible, x0, y, visibility_out)
-
-
-def _in_lanes(gbuffer: GBuffer, light_map: LightMap, bias: Bias, penumbra: wp.array) -> list:
-    return [lane_views(gbuffer, light_map), light_map, bias, flat_floats(penumbra)]
+                taken = covered & wp.where(share < light[k], 1, 0)
+                light[k] = wp.where(taken != 0, share, light[k])
+                begins[k] = wp.where(taken != 0, wp.where(in_perspective != 0, -1.0 / own, own), begins[k])
+    for k in range(held):
+        light_out[y, x0 + k] = wp.vec2(begins[k], light[k])
 
 
 DRAW = Twin(draw_penumbrae, draw_penumbrae_lanes, tolerance=1e-4, flips=1e-4)
-LOOK_UP = Twin(look_up_light, look_up_light_lanes, inputs=_in_lanes, tolerance=1e-5, flips=1e-3)
 
 
 class PenumbraMaps(SilhouetteMaps):
@@ -185,10 +140,5 @@ class PenumbraMaps(SilhouetteMaps):
     paper = ("wyman2003", "schwaerzler2009")
 
     def shade(self, frame: Frame, gbuffer: GBuffer, light_map: HostMap, visibility_out: wp.array) -> None:
-        light = light_map.light
-        penumbra = wp.empty(0, dtype=float, device=frame.device)
-        if light.has_area or not frame.leave_out(Skip.NO_PENUMBRA):
-            penumbra = self.pull_image(frame, light_map, "penumbra map", float, DRAW, light_radius(light)).texels
-        with frame.timed("penumbra lookup"):
-            inputs = [gbuffer, light_map.map, self.params.device_bias, penumbra]
-            frame.launch(LOOK_UP, visibility_out.shape, inputs, [visibility_out])
+        radius = light_radius(light_map.light)
+        self.draw_and_look_up(frame, gbuffer, light_map, "penumbra map", DRAW, radius, 0.0, visibility_out)

@@ -1,4 +1,4 @@
-"""Smoothies: strips of one width beside the silhouette, with depth and alpha, as seen by the light (Chan and Durand 2003).
+"""Smoothies: strips of one width beside the silhouette that the light sees, in depth and alpha (Chan and Durand 2003).
 
 1. A light map from the light's centre gives hard shadows; a second one the depth r of the nearest surface of all,
    caster or not, in each texel.
@@ -30,17 +30,13 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from algorithms.outer_penumbrae._silhouette_maps import SilhouetteMaps, Skip, texel_of_receiver, texels_of_run
+from algorithms.outer_penumbrae._silhouette_maps import SilhouetteMaps
 from algorithms.technique import ALL_LIGHTS, Frame, MapParams, Needs, setting
 from wkernels.casters.outer_edges import OuterEdges, light_radius, nearest_outside
 from wkernels.casters.pulls import pull_silhouettes
-from wkernels.device.lanes import LANES, Floats, flat_floats, store_run
+from wkernels.device.lanes import LANES, Floats
 from wkernels.device.twin import Twin
-from wkernels.light_maps.comparison_lanes import compare_nearest_run
 from wkernels.light_maps.host_map import HostMap
-from wkernels.light_maps.light_map import Bias, LightMap, compare_nearest
-from wkernels.light_maps.receiver_lanes import LaneViews, lane_views, locate_run
-from wkernels.light_maps.receivers import receiver_of_pixel
 from wkernels.raster.binning import TileLists, tile_at
 from wkernels.raster.gbuffer import GBuffer
 
@@ -131,63 +127,7 @@ def draw_smoothies_lanes(
         smoothie_out[y, x0 + k] = wp.vec2(nearest[k], alpha[k])
 
 
-@wp.kernel
-def look_up_smoothies(
-    first: int,
-    gbuffer: GBuffer,
-    light_map: LightMap,
-    bias: Bias,
-    smoothies: wp.array(dtype=wp.vec2),
-    visibility_out: wp.array2d(dtype=float),
-):
-    """Hard comparison of each pixel, and alpha' of the smoothie that is before it."""
-    row, x = wp.tid()
-    y = first + row
-    receiver = receiver_of_pixel(gbuffer, light_map, bias, y, x)
-    visible = receiver.visible
-    if receiver.layer >= 0:
-        visible = compare_nearest(light_map, receiver)
-        texel = texel_of_receiver(light_map, receiver)
-        if texel >= 0 and texel < smoothies.shape[0]:
-            smoothie = smoothies[texel]
-            if receiver.depth > smoothie[0]:
-                visible *= smoothie[1]
-    visibility_out[y, x] = visible
-
-
-@wp.kernel
-def look_up_smoothies_lanes(
-    first: int,
-    views: LaneViews,
-    light_map: LightMap,
-    bias: Bias,
-    smoothies: wp.array(dtype=float),
-    visibility_out: wp.array2d(dtype=float),
-):
-    """``look_up_smoothies`` of a run of pixels."""
-    row, column = wp.tid()
-    y = first + row
-    x0 = column * LANES
-    receivers = locate_run(views, light_map, bias, x0, y)
-    visible = receivers.visible
-    if receivers.count > 0:
-        visible = compare_nearest_run(views, light_map, receivers)
-        texels = texels_of_run(light_map, receivers)
-        depths = receivers.depth
-        if smoothies.shape[0] > 0:
-            for k in range(LANES):
-                at = 2 * wp.max(texels[k], 0)
-                behind = wp.where(texels[k] >= 0, 1, 0) & wp.where(depths[k] > smoothies[at], 1, 0)
-                visible[k] = visible[k] * wp.where(behind != 0, smoothies[at + 1], 1.0)
-    store_run(visible, x0, y, visibility_out)
-
-
-def _in_lanes(gbuffer: GBuffer, light_map: LightMap, bias: Bias, smoothies: wp.array) -> list:
-    return [lane_views(gbuffer, light_map), light_map, bias, flat_floats(smoothies)]
-
-
 DRAW = Twin(draw_smoothies, draw_smoothies_lanes, tolerance=1e-4, flips=1e-4)
-LOOK_UP = Twin(look_up_smoothies, look_up_smoothies_lanes, inputs=_in_lanes, tolerance=1e-5, flips=1e-3)
 
 
 class Smoothies(SilhouetteMaps):
@@ -209,13 +149,8 @@ class Smoothies(SilhouetteMaps):
         )
 
     def shade(self, frame: Frame, gbuffer: GBuffer, light_map: HostMap, visibility_out: wp.array) -> None:
-        smoothies = wp.empty(0, dtype=wp.vec2, device=frame.device)
-        if light_map.light.has_area or not frame.leave_out(Skip.NO_PENUMBRA):
-            width = self.params.width * light_radius(light_map.light) * _mean_nearness(frame, light_map.light_ws)
-            smoothies = self.pull_image(frame, light_map, "smoothie buffer", wp.vec2, DRAW, 0.0, width).texels
-        with frame.timed("smoothie lookup"):
-            inputs = [gbuffer, light_map.map, self.params.device_bias, smoothies]
-            frame.launch(LOOK_UP, visibility_out.shape, inputs, [visibility_out])
+        width = self.params.width * light_radius(light_map.light) * _mean_nearness(frame, light_map.light_ws)
+        self.draw_and_look_up(frame, gbuffer, light_map, "smoothie buffer", DRAW, 0.0, width, visibility_out)
 
 
 def _mean_nearness(frame: Frame, light_ws: np.ndarray) -> float:
