@@ -9,7 +9,7 @@ import warp as wp
 
 from algorithms.technique import ALL_LIGHTS, Frame, Limit, MapTechnique, Needs
 from wkernels.casters.outer_edges import bin_edges, pixel_to_plane, plane_of_view
-from wkernels.casters.pulls import pull_silhouettes
+from wkernels.casters.pulls import pull_loops, pull_silhouettes
 from wkernels.device.lanes import LANES, flat_floats, store_run
 from wkernels.device.twin import Twin
 from wkernels.filters.map_images import MapImage, new_image
@@ -108,8 +108,13 @@ LOOK_UP = Twin(look_up_penumbra, look_up_penumbra_lanes, inputs=_in_lanes, toler
 
 
 class SilhouetteMaps(MapTechnique):
-    """A light map, and an image beside it of what silhouettes do to each texel's surface."""
+    """A light map, and an image beside it of what silhouettes do to each texel's surface.
 
+    Attributes:
+        in_loops: Whether edges need to know the ones before and after them.
+    """
+
+    in_loops: ClassVar[bool] = False
     family = "outer_penumbrae"
     needs = Needs(lights=ALL_LIGHTS, area=True)
     products = (Product.G_BUFFER, Product.LIGHT_MAP, Product.CASTER_EDGES, Product.SILHOUETTES)
@@ -158,18 +163,19 @@ class SilhouetteMaps(MapTechnique):
         """
         geometry = frame.geometry
         silhouettes = pull_silhouettes(frame, geometry, light_map.light_ws)
+        loops = pull_loops(frame, silhouettes) if self.in_loops else None
         surfaces = pull_surfaces(frame, frame.rasteriser, geometry, light_map)
         binner = frame.product("memory for lists", "binner", (), lambda old: old or Binner(frame.device, frame.threads))
 
         def build(old: MapImage | None) -> MapImage:
+            points = geometry.points_ws
             image = new_image(frame, light_map.layout, wp.vec2, old, light_map.slot)
             depths = layer_images(surfaces, light_map.layout)
             for view, depth, layer in zip(light_map.views, depths, image.layers, strict=True):
                 plane = plane_of_view(light_map.light_ws, view)
                 ends = _depths(frame, light_map, view.ws_to_ss[2])
-                bins = bin_edges(
-                    frame, binner, geometry.points_ws, silhouettes, plane, ends, radius, view.to_device(), width
-                )
+                options = {"width": width, "loops": loops}
+                bins = bin_edges(frame, binner, points, silhouettes, plane, ends, radius, view.to_device(), **options)
                 to_plane = wp.mat33(*pixel_to_plane(light_map.light_ws, view, plane).astype(np.float32).ravel())
                 in_perspective = int(light_map.light_ws[3] > 0.0)
                 inputs = [depth, bins.lists, bins.edges, to_plane, in_perspective, width or radius]

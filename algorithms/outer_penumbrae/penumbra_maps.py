@@ -27,6 +27,8 @@ ground) all of them have the light of the nearest.
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import warp as wp
 
 from algorithms.outer_penumbrae._silhouette_maps import SilhouetteMaps
@@ -138,6 +140,10 @@ class PenumbraMaps(SilhouetteMaps):
 
     name = "penumbra_maps"
     paper = ("wyman2003", "schwaerzler2009")
+    stability_limits: ClassVar[dict[str, str]] = {
+        "light_grows": "the umbra keeps the hard shadow's size, where a light wider than its distance leaves none",
+        "contact_light": "half of a light that a plate cuts is seen from everywhere; its dark half alone is shown",
+    }
 
     def shade(self, frame: Frame, gbuffer: GBuffer, light_map: HostMap, visibility_out: wp.array) -> None:
         radius = light_radius(light_map.light)

@@ -20,6 +20,8 @@ against a caster sees other ones; a silhouette in the shadow of another caster h
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 import warp as wp
 
@@ -169,6 +171,11 @@ class Plateaus(Technique):
         Limit(equals="shadow_volume_zfail", light_scale=0.0),
         Limit(equals="ray_cast_point_shadow", light_scale=0.0, tolerance=1e-6, flips=0.002),
     )
+
+    stability_limits: ClassVar[dict[str, str]] = {
+        "light_grows": "the umbra keeps the hard shadow's size, where a light wider than its distance leaves none",
+        "contact_light": "half of a light that a plate cuts is seen from everywhere; its dark half alone is shown",
+    }
 
     def render(self, frame: Frame) -> wp.array:
         gbuffer = frame.gbuffer()

@@ -2,7 +2,7 @@
 
 1. A light map from the light's centre gives hard shadows; a second one the depth r of the nearest surface of all,
    caster or not, in each texel.
-2. Each silhouette edge carries a strip of a width t that is the same everywhere in the light's view, and each vertex a
+2. Each silhouette edge carries a strip of a width t that is the same everywhere in the light's view, and each corner a
    fan between its strips (Schwaerzler 2009, section 4.11). In each texel that it covers it has the depth b of the
    silhouette and an alpha from 0 at the silhouette to 1 at its outer border, which the ratio of the distances makes a
    penumbra that is hard at contact:
@@ -27,6 +27,8 @@ behind b have the light of the nearest.
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 import warp as wp
 
@@ -39,6 +41,17 @@ from wkernels.device.twin import Twin
 from wkernels.light_maps.host_map import HostMap
 from wkernels.raster.binning import TileLists, tile_at
 from wkernels.raster.gbuffer import GBuffer
+
+
+@wp.func
+def in_strip_or_fan(line: wp.vec4, before: wp.vec4, after: wp.vec4, length: float, x: float, y: float):
+    """Whether a point beside an edge is in its strip, or beyond an end and not beside the edge that goes on there."""
+    dx = x - line[0]
+    dy = y - line[1]
+    along = dx * line[2] + dy * line[3]
+    back = dx * before[2] + dy * before[3]  # of the point from the begin, along the edge before
+    on = (dx - line[2] * length) * after[2] + (dy - line[3] * length) * after[3]
+    return (along >= 0.0 or back >= 0.0) and (along <= length or on <= 0.0)
 
 
 @wp.kernel
@@ -64,9 +77,13 @@ def draw_smoothies(
         p = to_plane * wp.vec3(float(x) + 0.5, float(y) + 0.5, 1.0)
         for i in range(begin, end):
             edge = lists.shape[i]
-            near = nearest_outside(edges.line[edge], edges.ramp[edge], p[0] / p[2], p[1] / p[2])
+            line = edges.line[edge]
+            before = edges.line[edges.beside[edge][0]]
+            after = edges.line[edges.beside[edge][1]]
+            near = nearest_outside(line, edges.ramp[edge], p[0] / p[2], p[1] / p[2])
             b = -1.0 / near[1]
-            if near[0] < width and b < depth[y, x] and b < nearest:
+            covered = in_strip_or_fan(line, before, after, edges.ramp[edge][0], p[0] / p[2], p[1] / p[2])
+            if covered and near[0] < width and b < depth[y, x] and b < nearest:
                 nearest = b
                 alpha = wp.min(near[0] / (width * (1.0 - b / depth[y, x])), 1.0)
     smoothie_out[y, x] = wp.vec2(nearest, alpha)
@@ -110,6 +127,10 @@ def draw_smoothies_lanes(
             ramp = edges.ramp[edge]
             from_x, from_y, way_x, way_y = line[0], line[1], line[2], line[3]
             length, key_0, change, lean = ramp[0], ramp[1], ramp[2], ramp[3]
+            beside = edges.beside[edge]
+            before = edges.line[beside[0]]
+            after = edges.line[beside[1]]
+            before_x, before_y, after_x, after_y = before[2], before[3], after[2], after[3]
             for k in range(LANES):
                 dx = xs[k] - from_x
                 dy = ys[k] - from_y
@@ -118,8 +139,12 @@ def draw_smoothies_lanes(
                 foot = wp.clamp(along - across * lean, 0.0, length)
                 distance = wp.sqrt((along - foot) * (along - foot) + across * across)
                 b = -1.0 / (key_0 + change * foot)
-                before = wp.where(b < depths[k], 1, 0) & wp.where(b < nearest[k], 1, 0)
-                taken = before & wp.where(across >= 0.0, 1, 0) & wp.where(distance < width, 1, 0)
+                back = dx * before_x + dy * before_y
+                on = (dx - way_x * length) * after_x + (dy - way_y * length) * after_y
+                begun = wp.where(along >= 0.0, 1, 0) | wp.where(back >= 0.0, 1, 0)
+                covered = begun & (wp.where(along <= length, 1, 0) | wp.where(on <= 0.0, 1, 0))
+                nearer = wp.where(b < depths[k], 1, 0) & wp.where(b < nearest[k], 1, 0)
+                taken = covered & nearer & wp.where(across >= 0.0, 1, 0) & wp.where(distance < width, 1, 0)
                 light = wp.min(distance / (width * (1.0 - b / depths[k])), 1.0)
                 nearest[k] = wp.where(taken != 0, b, nearest[k])
                 alpha[k] = wp.where(taken != 0, light, alpha[k])
@@ -135,7 +160,11 @@ class Smoothies(SilhouetteMaps):
 
     name = "smoothies"
     paper = ("chan2003", "schwaerzler2009")
+    in_loops = True
     needs = Needs(lights=ALL_LIGHTS - {"directional"}, area=True)
+    stability_limits: ClassVar[dict[str, str]] = {
+        "light_grows": "the umbra keeps the hard shadow's size, where a light wider than its distance leaves none",
+    }
 
     class Params(MapParams):
         """The strips."""

@@ -49,7 +49,9 @@ class ShadowVolumeZpass(HardVolumes):
         ),
     )
     stability_limits: ClassVar[dict[str, str]] = {
-        "eye_place": "z-pass takes the near plane for lit: an eye in a volume, or a near plane that cuts it, miscounts"
+        "eye_place": "z-pass takes the near plane for lit: an eye in a volume, or a near plane that cuts it, miscounts",
+        "light_before_eye": "the eye looks into the light from within a shadow",
+        "light_place": "of a body that holds the light all outside is its volume, the eye too",
     }
 
     class Params(Params):

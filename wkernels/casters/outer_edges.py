@@ -20,14 +20,14 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from wkernels.casters.silhouettes import Silhouettes
+from wkernels.casters.silhouettes import Loops, Silhouettes
 from wkernels.raster.binning import Binner, TileLists
 from wkernels.scene.lights import Light, orthonormal_frame
 from wkernels.scene.views import HostView, View
 from wkernels.workspace.workspace import Workspace
 
 CORNERS = wp.constant(8)  # of an edge's outline: a square round each end
-MOST_LEAN = wp.constant(0.99999)  # where cones grow faster along the edge than it is long only one end counts
+MOST_LEAN = wp.constant(0.99999)  # sine: beyond it one end's cone holds all; but close to the edge the edge counts
 
 
 @wp.struct
@@ -46,6 +46,7 @@ class OuterEdges:
 
     line: wp.array(dtype=wp.vec4)  # where it begins, and its unit direction
     ramp: wp.array(dtype=wp.vec4)  # its length, its key at the begin, how that changes per length, the lines' lean
+    beside: wp.array(dtype=wp.vec2i)  # the edges before and after it in its loop; empty unless asked for
 
 
 @wp.func
@@ -218,6 +219,17 @@ def pixel_to_plane(light_ws: np.ndarray, view: HostView, plane: LightPlane) -> n
     return np.linalg.inv(to_screen) @ to_ndc
 
 
+def neighbours(loops: Loops, count: int) -> np.ndarray:
+    """The edges before and after each of ``count`` in its loop, int32 (n, 2); in one of them where it has several."""
+    out = np.tile(np.arange(count, dtype=np.int32)[:, None], (1, 2))
+    place = np.arange(len(loops.member))
+    begin = np.repeat(loops.begin[:-1], np.diff(loops.begin))
+    end = np.repeat(loops.begin[1:], np.diff(loops.begin))
+    out[loops.member, 0] = loops.member[np.where(place == begin, end - 1, place - 1)]
+    out[loops.member, 1] = loops.member[np.where(place == end - 1, begin, place + 1)]
+    return out
+
+
 def bin_edges(
     work: Workspace,
     binner: Binner,
@@ -228,6 +240,7 @@ def bin_edges(
     radius: float,
     view: View,
     width: float = 0.0,
+    loops: Loops | None = None,
 ) -> EdgeBins:
     """The silhouette's edges in a light's plane, in lists of what their cones may reach.
 
@@ -241,6 +254,7 @@ def bin_edges(
         radius: ``light_radius``.
         view: Whose pixels are asked about what lies at the greatest depth, or before it on the way to the light.
         width: Of what edges cover, in the plane, where that is the same everywhere; 0: their cones.
+        loops: Of the silhouette, where each edge needs to know the next.
     """
     count = len(silhouettes.edge)
     edges = OuterEdges()
@@ -249,5 +263,7 @@ def bin_edges(
     ends = wp.array(silhouettes.ends, dtype=wp.vec2i, device=work.device)
     inputs = [points_ws, ends, plane, *map(float, depths), radius, width]
     work.launch(flatten_edges, count, inputs, [edges, outline])
+    if loops is not None:
+        edges.beside = wp.array(neighbours(loops, count), dtype=wp.vec2i, device=work.device)
     begin = wp.array(np.arange(count + 1, dtype=np.int32) * int(CORNERS), dtype=int, device=work.device)
     return EdgeBins(edges, binner.bin(outline, begin, view), plane)
