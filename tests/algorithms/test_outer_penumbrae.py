@@ -108,7 +108,7 @@ def stacked(light: Light) -> Scene:
 def test_of_smoothies_that_overlap_the_nearest_to_the_light_wins(device: str) -> None:
     """Where the low plate's shadow ends it is lit by what the high one's penumbra leaves, not dark as it should be."""
     scene = stacked(small_scenes.light("sphere", size=1.2))
-    images = {name: render(scene, device, name, {"size": SIZE}).visibility for name in NAMES}
+    images = {name: render(scene, device, name, {"size": (400, 300)}).visibility for name in NAMES}
     darkest = images["plateaus"]
     lost = (images["smoothies"] > darkest + 0.3) & (darkest < 0.2)
     assert lost.sum() > 30
