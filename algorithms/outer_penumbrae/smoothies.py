@@ -17,7 +17,8 @@ if t = R / b. So ``width`` is in light's radii as seen from the casters' mean di
 silhouette); casters that are nearer to the light have penumbrae too narrow, others too wide.
 
 Deviations: strips and fans are found in closed form, on the outer side of their edge only; fans are round, whatever
-their angle, so that strips are joined without a gap. The paper leaves t to the user. A light of another shape than a
+their angle, so that strips are joined without a gap. Where alpha' would be 1 or more a smoothie is not kept, as the lit
+rest of its strip would hide others. The paper leaves t to the user. A light of another shape than a
 ball counts as one of half its size. Directional lights are refused: b / r would depend on where depths begin.
 Known artefacts: too dark: the umbra has the size of the hard shadow, however large the light. Where smoothies overlap
 the nearest to the light wins, not the darkest, so that the edge of a low caster's shadow is lit within the penumbra of
@@ -84,8 +85,10 @@ def draw_smoothies(
             b = -1.0 / near[1]
             covered = in_strip_or_fan(line, before, after, edges.ramp[edge][0], p[0] / p[2], p[1] / p[2])
             if covered and near[0] < width and b < depth[y, x] and b < nearest:
-                nearest = b
-                alpha = wp.min(near[0] / (width * (1.0 - b / depth[y, x])), 1.0)
+                light = near[0] / (width * (1.0 - b / depth[y, x]))
+                if light < 1.0:
+                    nearest = b
+                    alpha = light
     smoothie_out[y, x] = wp.vec2(nearest, alpha)
 
 
@@ -144,8 +147,9 @@ def draw_smoothies_lanes(
                 begun = wp.where(along >= 0.0, 1, 0) | wp.where(back >= 0.0, 1, 0)
                 covered = begun & (wp.where(along <= length, 1, 0) | wp.where(on <= 0.0, 1, 0))
                 nearer = wp.where(b < depths[k], 1, 0) & wp.where(b < nearest[k], 1, 0)
-                taken = covered & nearer & wp.where(across >= 0.0, 1, 0) & wp.where(distance < width, 1, 0)
-                light = wp.min(distance / (width * (1.0 - b / depths[k])), 1.0)
+                light = distance / (width * (1.0 - b / depths[k]))
+                here = wp.where(across >= 0.0, 1, 0) & wp.where(distance < width, 1, 0) & wp.where(light < 1.0, 1, 0)
+                taken = covered & nearer & here
                 nearest[k] = wp.where(taken != 0, b, nearest[k])
                 alpha[k] = wp.where(taken != 0, light, alpha[k])
     for k in range(held):

@@ -98,7 +98,7 @@ def stacked(light: Light) -> Scene:
         [
             small_scenes.mesh("ground", small_scenes.plane(14.0), casts=False),
             small_scenes.mesh("high", small_scenes.box((-4.0, 6.0, 0.0), (7.0, 0.1, 9.0)), receives=False),
-            small_scenes.mesh("low", small_scenes.box((-4.1, 1.5, 0.0), (7.0, 0.1, 3.0)), receives=False),
+            small_scenes.mesh("low", small_scenes.box((-4.31, 1.5, 0.0), (7.0, 0.1, 3.0)), receives=False),
         ],
         light,
         small_scenes.camera((3.0, 4.0, 5.0), (0.5, 0.0, 0.0)),
