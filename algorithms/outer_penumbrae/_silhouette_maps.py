@@ -116,7 +116,7 @@ class SilhouetteMaps(MapTechnique):
 
     in_loops: ClassVar[bool] = False
     family = "outer_penumbrae"
-    needs = Needs(lights=ALL_LIGHTS, area=True)
+    needs = Needs(lights=ALL_LIGHTS, area=True, whole_casters=True)
     products: ClassVar[tuple[Product, ...]] = (
         Product.G_BUFFER,
         Product.LIGHT_MAP,

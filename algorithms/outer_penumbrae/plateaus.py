@@ -163,7 +163,7 @@ class Plateaus(Technique):
     name = "plateaus"
     family = "outer_penumbrae"
     paper = ("haines2001", "schwaerzler2009", "assarsson2003")
-    needs = Needs(area=True, planar_receiver=True)
+    needs = Needs(area=True, planar_receiver=True, whole_casters=True)
     products = (Product.G_BUFFER, Product.CASTER_EDGES, Product.SILHOUETTES, Product.VOLUMES)
     bias_sign = "darker"
     may_leave_out = (Skip.NO_RAMP, Skip.UNSEEN, Skip.FLAT_NONE, Uncounted.BESIDE)
