@@ -15,7 +15,7 @@ from pathlib import Path, PurePosixPath
 from experiments.packages.tools import PackageError, run_tool
 
 _MOST_BYTES = 2**30  # of what one asset unpacks to
-_BROKEN = (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError, NotImplementedError, gzip.BadGzipFile)
+_BROKEN = (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError, RuntimeError, gzip.BadGzipFile)
 
 
 def unpack(archive: Path, inside: str | None, take: Mapping[str, str], into: Path) -> None:
