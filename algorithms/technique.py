@@ -200,7 +200,7 @@ class MapTechnique(Technique):
     G-buffer and map are pulled here, and scenes that need no map end here; the file says how a map becomes visibility.
     """
 
-    products = (Product.G_BUFFER, Product.LIGHT_MAP)
+    products: ClassVar[tuple[Product, ...]] = (Product.G_BUFFER, Product.LIGHT_MAP)
     Params: ClassVar[type[Params]] = MapParams
 
     @abstractmethod

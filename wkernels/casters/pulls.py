@@ -34,7 +34,7 @@ def pull_components(work: Workspace, geometry: Geometry) -> Components:
     adjacency = pull_edges(work, geometry)
 
     def build(old: Components | None) -> Components:
-        return find_components(geometry.points_ws.numpy(), adjacency)
+        return find_components(geometry.points_ws.numpy(), adjacency, old.outward if old else None)
 
     inputs = (adjacency, geometry.version)
     out: Components = work.product("caster components", "caster components", inputs, build)
