@@ -12,6 +12,7 @@ import numpy as np
 
 from experiments.config.source import Source, from_dict, load_yaml
 from experiments.scenes import generators, primitives, schema
+from experiments.scenes.assets import without_prefix
 from experiments.scenes.cameras import CameraPath, camera_path
 from experiments.scenes.files import read_triangles
 from experiments.scenes.importing.building import import_file, imported_camera
@@ -104,7 +105,7 @@ def _add_meshes(meshes: list[Mesh], place: Place, names: FreeNames, files: dict[
         parts = [replace(part, name=prefix + part.name) for part in generators.run(options)]
     elif kind == "file":
         options = file_options = place.validated(schema.MeshFile)
-        default = Path(file_options.file.removeprefix("warp:")).stem
+        default = Path(without_prefix(file_options.file)).stem
         if file_options.file not in files:
             files[file_options.file] = read_triangles(file_options.file, place.at("file"))
         parts = [Mesh(options.name or default, *files[file_options.file])]

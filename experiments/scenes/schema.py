@@ -163,7 +163,7 @@ class Cylinder(MeshOptions):
 
 
 class MeshFile(MeshOptions):
-    """A mesh file, relative to the scene file; ``warp:NAME`` is one of Warp's example assets."""
+    """A mesh file, relative to the scene file, ``warp:NAME`` or ``fetched:NAME/FILE`` (``assets.find_file``)."""
 
     file: Name
 

@@ -62,6 +62,7 @@ def receiver_planes(geometry: Geometry, frame: int, own_planes: dict[int, np.nda
     """
     extent = extent_of(geometry)
     planes: list[ReceiverPlane] = []
+    known = np.empty((len(geometry.meshes), 4))  # a city has thousands, which are compared all at once
     for i, mesh in enumerate(geometry.meshes):
         if not mesh.receives:
             continue
@@ -70,13 +71,14 @@ def receiver_planes(geometry: Geometry, frame: int, own_planes: dict[int, np.nda
         plane = _placed(own_planes[i], mesh, frame, geometry.origin_ws)
         if plane is None:
             continue
-        for known in planes:
-            side = np.sign(known.plane[:3] @ plane[:3])
-            apart = np.abs(known.plane - side * plane)
-            if apart[:3].sum() * extent + apart[3] <= SAME_PLANE * extent:
-                known.meshes.append(i)
-                break
+        others = known[: len(planes)]
+        side = np.sign(others[:, :3] @ plane[:3])
+        apart = np.abs(others - side[:, None] * plane)
+        same = np.flatnonzero(apart[:, :3].sum(axis=1) * extent + apart[:, 3] <= SAME_PLANE * extent)
+        if len(same):
+            planes[same[0]].meshes.append(i)
         else:
+            known[len(planes)] = plane
             planes.append(ReceiverPlane(plane, [i]))
     return planes
 

@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from experiments.scenes import schema
+from experiments.scenes.assets import find_file
 from experiments.scenes.cameras import CameraPath, camera_path, check_lens
 from experiments.scenes.files import MeshWarning
 from experiments.scenes.importing.description import Asked, ImportedCamera, ImportedScene, Shape, each_frame
@@ -60,7 +61,7 @@ def import_file(options: ImportingSceneFile, place: Place) -> Imported:
         InputError: The file is missing, broken, of an unknown format, or requires what is not supported.
     """
     at = place.at("import")
-    path = at.existing_file(options.import_file)
+    path = find_file(options.import_file, at)
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         raise at.error(f"'{path}' is of no format that can be imported, which are {', '.join(FORMATS)}.")
