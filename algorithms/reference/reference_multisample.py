@@ -7,7 +7,7 @@ equation 3) is that of independent samples; with a low-discrepancy set the true 
 edges.
 
 On the CPU all rays of a receiver are cast at once, against the triangles that touch the pyramid from it to the light
-(``wkernels/rays/shaft_rays.py``), or, if they are at most 16, against those that they pass near
+(``wkernels/rays/shaft_rays.py``), or, if they are at most 32, against those that they pass near
 (``wkernels/rays/few_rays.py``), which decides alike; on CUDA one after the other.
 
 Deviation: pixels that can be *proven* wholly lit (no caster touches the shaft to the light) or wholly dark (one

@@ -1,8 +1,8 @@
-"""A few rays from each receiver to a light: the reference's path on the CPU where the light has at most 16 samples.
+"""A few rays from each receiver to a light: the reference's path on the CPU where the light has at most 32 samples.
 
 ``shaft_rays`` tests 64 samples against every triangle that touches the pyramid from a receiver to the light. A few
-samples meet few of these triangles. Here each box that the pyramid meets is asked which samples' ways come near it; boxes
-are taken nearest first, and a sample that is hidden asks no more. What hid a pixel's samples most often hides its
+samples meet few of these triangles. Here each box that the pyramid meets is asked which samples' ways come near it;
+boxes are taken nearest first, and a sample that is hidden asks no more. What hid a pixel's samples most often hides its
 neighbour's, and is tried first (the shadow cache of Haines and Greenberg 1986, along a row of pixels).
 
 A way is hidden by a triangle if and only if ``shaft_rays`` says so: the products are the same ones in the same order,
@@ -24,7 +24,7 @@ from wkernels.rays.shaft_rays import BEFORE_SAMPLE, ROUNDING, Stack
 from wkernels.rays.single_rays import NO_RECEIVER, PROVEN_DARK, PROVEN_LIT, TRACED, ray_origin
 from wkernels.scene.geometry import CASTS, RECEIVES
 
-MOST_SAMPLES = 16  # beyond, one walk with all samples is faster (docs/few_rays.md)
+MOST_SAMPLES = 32  # beyond, one walk with all samples is as fast or faster (docs/exact_rays.md)
 BOX_MARGIN = wp.constant(0.125)  # by which a box grows at each side, of its own extent
 LEAST_WAY = wp.constant(1.0e-20)  # stands for a component 0 of a way, so that its inverse is finite
 Cached = wp.types.vector(length=LANES, dtype=wp.int32)
@@ -32,9 +32,9 @@ Cached = wp.types.vector(length=LANES, dtype=wp.int32)
 
 @wp.struct
 class FewSamples:
-    """At most 16 samples of a light, in their own order; lanes behind them repeat the last one with weight 0."""
+    """Samples of a light by sixteens, in their own order; lanes behind them repeat the last one with weight 0."""
 
-    x: wp.array(dtype=Floats)  # one entry
+    x: wp.array(dtype=Floats)
     y: wp.array(dtype=Floats)
     z: wp.array(dtype=Floats)
     weight: wp.array(dtype=Floats)
@@ -53,21 +53,28 @@ class Receiver:
 
 @wp.func
 def hidden_by_leaf(
-    tree: CasterTree, leaf: int, receiver: Receiver, xs: Floats, ys: Floats, zs: Floats, samples: int, count: int
+    triangle: wp.array2d(dtype=Eight),
+    leaf: int,
+    receiver: Receiver,
+    xs: Floats,
+    ys: Floats,
+    zs: Floats,
+    samples: int,
+    count: int,
 ):
     """Which of some samples, as bits, the eight triangles of a leaf hide: ``shaft_rays.edge_planes`` of all eight.
 
     -1 if none of them lies before the receiver, so that nothing had to be tested.
     """
-    x0s = tree.triangle[leaf, 0]
-    y0s = tree.triangle[leaf, 1]
-    z0s = tree.triangle[leaf, 2]
-    x1s = tree.triangle[leaf, 3]
-    y1s = tree.triangle[leaf, 4]
-    z1s = tree.triangle[leaf, 5]
-    x2s = tree.triangle[leaf, 6]
-    y2s = tree.triangle[leaf, 7]
-    z2s = tree.triangle[leaf, 8]
+    x0s = triangle[leaf, 0]
+    y0s = triangle[leaf, 1]
+    z0s = triangle[leaf, 2]
+    x1s = triangle[leaf, 3]
+    y1s = triangle[leaf, 4]
+    z1s = triangle[leaf, 5]
+    x2s = triangle[leaf, 6]
+    y2s = triangle[leaf, 7]
+    z2s = triangle[leaf, 8]
     o_x, o_y, o_z = receiver.origin[0], receiver.origin[1], receiver.origin[2]
     n_x, n_y, n_z = receiver.own_side[0], receiver.own_side[1], receiver.own_side[2]
     least = receiver.least_height
@@ -184,11 +191,6 @@ def trace_few(
     row, run = wp.tid()
     y = first + row
     x0 = run * LANES
-    xs = samples.x[0]
-    ys = samples.y[0]
-    zs = samples.z[0]
-    weights = samples.weight[0]
-    count = samples.count
     end = wp.where(hull.is_point > 0.0, 1.001, 1.0e30)
     inverse_x = Floats()
     inverse_y = Floats()
@@ -211,11 +213,6 @@ def trace_few(
         origin = ray_origin(gbuffer, y, column)
         origin_point = origin * hull.is_point
         o_x, o_y, o_z = origin_point[0], origin_point[1], origin_point[2]
-        is_open = int(0)  # samples that nothing is known to hide, as bits
-        for k in range(count):
-            facing = n_x * (xs[k] - p_x) + n_y * (ys[k] - p_y) + n_z * (zs[k] - p_z)
-            if (flags & CASTS) == 0 or facing > 0.0:
-                is_open = is_open | (1 << k)
         ahead = bool(True)
         for i in range(hull.corners.shape[0]):
             ahead = ahead and wp.dot(hull.corners[i] - origin_point, normal) > 0.0
@@ -226,88 +223,99 @@ def trace_few(
             receiver.own_side = normal
             receiver.least_height = 0.0
         tested = int(0)
-        if tree.levels > 0 and is_open != 0:
-            for k in range(count):
-                leaf = cached[k]
-                if leaf < 0 or (is_open & (1 << k)) == 0:
-                    continue
-                hidden = hidden_by_leaf(tree, leaf, receiver, xs, ys, zs, is_open, count)
-                if hidden > 0:
-                    is_open = is_open & ~hidden
-                for other in range(count):  # what hides a sample no longer is forgotten
-                    if cached[other] == leaf and (is_open & (1 << other)) != 0:
-                        cached[other] = -1
-        if tree.levels > 0 and is_open != 0:
-            frame = shaft_frame(hull, origin)
-            shaft = shaft_of(frame)
-            steepest = wp.max(wp.max(-frame.low_u, frame.high_u), wp.max(-frame.low_v, frame.high_v))
-            coordinates = wp.max(hull.span, wp.max(wp.max(wp.abs(origin[0]), wp.abs(origin[1])), wp.abs(origin[2])))
-            slack = ROUNDING * coordinates * (1.0 + wp.max(steepest, 0.0))
-            margin = wp.vec3(slack, slack, slack)
-            axis = frame.axis
-            for k in range(LANES):
-                way_x = xs[k] - o_x
-                way_y = ys[k] - o_y
-                way_z = zs[k] - o_z
-                inverse_x[k] = 1.0 / wp.where(wp.abs(way_x) < LEAST_WAY, LEAST_WAY, way_x)
-                inverse_y[k] = 1.0 / wp.where(wp.abs(way_y) < LEAST_WAY, LEAST_WAY, way_y)
-                inverse_z[k] = 1.0 / wp.where(wp.abs(way_z) < LEAST_WAY, LEAST_WAY, way_z)
-            stack[0] = tree.levels - 1
-            asked[0] = is_open
-            top = int(1)
-            while top > 0:
-                top -= 1
-                wanted = asked[top] & is_open
-                if wanted == 0:
-                    continue
-                level = stack[top] & 15
-                index = stack[top] >> 4
-                if level == 0:
-                    hidden = hidden_by_leaf(tree, index, receiver, xs, ys, zs, wanted, count)
-                    tested += wp.where(hidden >= 0, 1, 0)
-                    if hidden > 0:
-                        is_open = is_open & ~hidden
-                        for k in range(count):
-                            if (hidden & (1 << k)) != 0:
-                                cached[k] = index
-                        if is_open == 0:
-                            top = 0
-                    continue
-                at = tree.level_begin[level] + index
-                reach = reach_of_children(tree, at, origin, shaft, receiver.own_side)
-                begin = index * WIDTH
-                floor = top
-                distances = Eight()
-                for k in range(wp.min(WIDTH, tree.level_size[level - 1] - begin)):
-                    if reach[k] < -slack:
-                        continue
-                    low = wp.vec3(tree.low_x[at][k], tree.low_y[at][k], tree.low_z[at][k]) - origin
-                    high = wp.vec3(tree.high_x[at][k], tree.high_y[at][k], tree.high_z[at][k]) - origin
-                    grown = margin + BOX_MARGIN * (high - low)
-                    near = wanted & near_box(low - grown, high + grown, inverse_x, inverse_y, inverse_z, end)
-                    if near == 0:
-                        continue
-                    distance = (
-                        wp.min(low[0] * axis[0], high[0] * axis[0])
-                        + wp.min(low[1] * axis[1], high[1] * axis[1])
-                        + wp.min(low[2] * axis[2], high[2] * axis[2])
-                    )
-                    slot = top  # the nearest is to be on top
-                    while slot > floor and distances[slot - floor - 1] < distance:
-                        distances[slot - floor] = distances[slot - floor - 1]
-                        stack[slot] = stack[slot - 1]
-                        asked[slot] = asked[slot - 1]
-                        slot -= 1
-                    distances[slot - floor] = distance
-                    stack[slot] = ((begin + k) << 4) | (level - 1)
-                    asked[slot] = near
-                    top += 1
         total = float(0.0)
         seen = float(0.0)
-        for k in range(count):
-            total += weights[k]
-            if (is_open & (1 << k)) != 0:
-                seen += weights[k]
+        for batch in range(samples.x.shape[0]):
+            xs = samples.x[batch]
+            ys = samples.y[batch]
+            zs = samples.z[batch]
+            weights = samples.weight[batch]
+            count = wp.min(LANES, samples.count - batch * LANES)
+            is_open = int(0)  # samples that nothing is known to hide, as bits
+            for k in range(count):
+                facing = n_x * (xs[k] - p_x) + n_y * (ys[k] - p_y) + n_z * (zs[k] - p_z)
+                if (flags & CASTS) == 0 or not (facing <= 0.0):
+                    is_open = is_open | (1 << k)
+            if tree.levels > 0 and is_open != 0:
+                for k in range(count):
+                    leaf = cached[k]
+                    if leaf < 0 or (is_open & (1 << k)) == 0:
+                        continue
+                    hidden = hidden_by_leaf(tree.triangle, leaf, receiver, xs, ys, zs, is_open, count)
+                    if hidden > 0:
+                        is_open = is_open & ~hidden
+                    for other in range(count):  # what hides a sample no longer is forgotten
+                        if cached[other] == leaf and (is_open & (1 << other)) != 0:
+                            cached[other] = -1
+            if tree.levels > 0 and is_open != 0:
+                frame = shaft_frame(hull, origin)
+                shaft = shaft_of(frame)
+                steepest = wp.max(wp.max(-frame.low_u, frame.high_u), wp.max(-frame.low_v, frame.high_v))
+                coordinates = wp.max(hull.span, wp.max(wp.max(wp.abs(origin[0]), wp.abs(origin[1])), wp.abs(origin[2])))
+                slack = ROUNDING * coordinates * (1.0 + wp.max(steepest, 0.0))
+                margin = wp.vec3(slack, slack, slack)
+                axis = frame.axis
+                for k in range(LANES):
+                    way_x = xs[k] - o_x
+                    way_y = ys[k] - o_y
+                    way_z = zs[k] - o_z
+                    inverse_x[k] = 1.0 / wp.where(wp.abs(way_x) < LEAST_WAY, LEAST_WAY, way_x)
+                    inverse_y[k] = 1.0 / wp.where(wp.abs(way_y) < LEAST_WAY, LEAST_WAY, way_y)
+                    inverse_z[k] = 1.0 / wp.where(wp.abs(way_z) < LEAST_WAY, LEAST_WAY, way_z)
+                stack[0] = tree.levels - 1
+                asked[0] = is_open
+                top = int(1)
+                while top > 0:
+                    top -= 1
+                    wanted = asked[top] & is_open
+                    if wanted == 0:
+                        continue
+                    level = stack[top] & 15
+                    index = stack[top] >> 4
+                    if level == 0:
+                        hidden = hidden_by_leaf(tree.triangle, index, receiver, xs, ys, zs, wanted, count)
+                        tested += wp.where(hidden >= 0, 1, 0)
+                        if hidden > 0:
+                            is_open = is_open & ~hidden
+                            for k in range(count):
+                                if (hidden & (1 << k)) != 0:
+                                    cached[k] = index
+                            if is_open == 0:
+                                top = 0
+                        continue
+                    at = tree.level_begin[level] + index
+                    reach = reach_of_children(tree, at, origin, shaft, receiver.own_side)
+                    begin = index * WIDTH
+                    floor = top
+                    distances = Eight()
+                    for k in range(wp.min(WIDTH, tree.level_size[level - 1] - begin)):
+                        if reach[k] < -slack:
+                            continue
+                        low = wp.vec3(tree.low_x[at][k], tree.low_y[at][k], tree.low_z[at][k]) - origin
+                        high = wp.vec3(tree.high_x[at][k], tree.high_y[at][k], tree.high_z[at][k]) - origin
+                        grown = margin + BOX_MARGIN * (high - low)
+                        near = wanted & near_box(low - grown, high + grown, inverse_x, inverse_y, inverse_z, end)
+                        if near == 0:
+                            continue
+                        distance = (
+                            wp.min(low[0] * axis[0], high[0] * axis[0])
+                            + wp.min(low[1] * axis[1], high[1] * axis[1])
+                            + wp.min(low[2] * axis[2], high[2] * axis[2])
+                        )
+                        slot = top  # the nearest is to be on top
+                        while slot > floor and distances[slot - floor - 1] < distance:
+                            distances[slot - floor] = distances[slot - floor - 1]
+                            stack[slot] = stack[slot - 1]
+                            asked[slot] = asked[slot - 1]
+                            slot -= 1
+                        distances[slot - floor] = distance
+                        stack[slot] = ((begin + k) << 4) | (level - 1)
+                        asked[slot] = near
+                        top += 1
+            for k in range(count):
+                total += weights[k]
+                if (is_open & (1 << k)) != 0:
+                    seen += weights[k]
         visible = seen / wp.max(total, 1.0e-30)
         proof = TRACED
         if prove != 0:
@@ -329,13 +337,15 @@ def few_samples(samples: np.ndarray, weights: np.ndarray, device: str = "cpu") -
     """
     count = len(samples)
     assert 1 <= count <= MOST_SAMPLES
-    spare = (0, int(LANES) - count)
+    spare = (0, -count % int(LANES))
     points = np.pad(np.asarray(samples, dtype=np.float32)[:, :3], (spare, (0, 0)), mode="edge")
     out = FewSamples()
     out.x, out.y, out.z = (
-        wp.array(np.ascontiguousarray(points[None, :, axis]), dtype=Floats, device=device) for axis in range(3)
+        wp.array(np.ascontiguousarray(points[:, axis]).reshape(-1, int(LANES)), dtype=Floats, device=device)
+        for axis in range(3)
     )
-    out.weight = wp.array(np.pad(np.asarray(weights, np.float32), spare)[None], dtype=Floats, device=device)
+    held = np.pad(np.asarray(weights, np.float32), spare)
+    out.weight = wp.array(held.reshape(-1, int(LANES)), dtype=Floats, device=device)
     out.count = count
     return out
 

@@ -17,7 +17,7 @@ from wkernels.scene.model import Scene
 
 WIDTH, HEIGHT = 67, 48  # not a whole number of runs
 AREA_LIGHTS = ("directional", "rectangle", "disc", "sphere", "linear", "polygon")
-COUNTS = (1, 2, 8, 15, MOST_SAMPLES)
+COUNTS = (1, 2, 8, 16, 17, MOST_SAMPLES)
 
 
 def three(scene: Scene, samples: int, threads: int = 2, prove: int = 1) -> tuple[np.ndarray, ...]:
@@ -98,22 +98,22 @@ def test_without_casters_only_surfaces_that_turn_away_are_dark() -> None:
 
 
 def test_samples_keep_their_order_and_weights() -> None:
-    points = np.random.default_rng(1).uniform(-1.0, 1.0, (5, 4))
-    out = few_samples(points, np.arange(1.0, 6.0))
-    held = np.stack([a.numpy()[0] for a in (out.x, out.y, out.z)], axis=1)
-    assert out.count == 5
-    np.testing.assert_array_equal(held[:5], points[:, :3].astype(np.float32))
-    np.testing.assert_array_equal(out.weight.numpy()[0], [1, 2, 3, 4, 5] + [0] * 11)
+    points = np.random.default_rng(1).uniform(-1.0, 1.0, (19, 4))
+    out = few_samples(points, np.arange(1.0, 20.0))
+    held = np.stack([a.numpy().ravel() for a in (out.x, out.y, out.z)], axis=1)
+    assert out.count == 19
+    np.testing.assert_array_equal(held[:19], points[:, :3].astype(np.float32))
+    np.testing.assert_array_equal(out.weight.numpy().ravel(), [*range(1, 20), *[0] * 13])
 
 
 def test_the_reference_is_the_same_on_both_sides_of_the_rule() -> None:
-    """Its first 16 samples, and the same 16 within 32, of which the later half is taken away again."""
+    """Few rays to either half of some samples make what all of them do, which the shafts cast."""
     scene = small_scenes.cluttered(small_scenes.light("rectangle", (3.0, 8.0, -2.0), 2.0))
     session = Session(Geometry(scene, "cpu"), width=WIDTH, height=HEIGHT, device="cpu")
     technique = find("reference_multisample")
     images = [
         session.render(technique(technique.Params(samples=samples, start=start))).visibility.copy()
-        for samples, start in ((16, 0), (16, 16), (32, 0))
+        for samples, start in ((MOST_SAMPLES, 0), (MOST_SAMPLES, MOST_SAMPLES), (2 * MOST_SAMPLES, 0))
     ]
     np.testing.assert_allclose((images[0] + images[1]) / 2.0, images[2], atol=1e-6)
     assert np.nanstd(images[0]) > 0.1
