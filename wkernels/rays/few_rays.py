@@ -1,4 +1,4 @@
-"""A few rays from each receiver to a light: the reference's path on the CPU where the light has at most 32 samples.
+"""A few rays from each receiver to a light: the reference's path on the CPU where the light has at most 8 samples.
 
 ``shaft_rays`` tests 64 samples against every triangle that touches the pyramid from a receiver to the light. A few
 samples meet few of these triangles. Here each box that the pyramid meets is asked which samples' ways come near it;
@@ -6,8 +6,9 @@ boxes are taken nearest first, and a sample that is hidden asks no more. What hi
 neighbour's, and is tried first (the shadow cache of Haines and Greenberg 1986, along a row of pixels).
 
 A way is hidden by a triangle if and only if ``shaft_rays`` says so: the products are the same ones in the same order,
-eight triangles at a time instead of 64 samples. Boxes are taken larger than they are by more than what those products
-are rounded by, so that what is left out could not have hidden the sample.
+eight triangles at a time instead of 64 samples. Boxes grow by an eighth of their extent at each side, more than those
+products are rounded by, but where a triangle's edge is seen end on, at a silhouette: there the shafts' rays take a
+rounding error for a hit now and then, of which the box says that it is none.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from wkernels.rays.shaft_rays import BEFORE_SAMPLE, ROUNDING, Stack
 from wkernels.rays.single_rays import NO_RECEIVER, PROVEN_DARK, PROVEN_LIT, TRACED, ray_origin
 from wkernels.scene.geometry import CASTS, RECEIVES
 
-MOST_SAMPLES = 32  # beyond, one walk with all samples is as fast or faster (docs/exact_rays.md)
+MOST_SAMPLES = 8  # of the reference's; with more, sparse scenes lose (docs/exact_rays.md)
+MOST_HELD = 64  # beyond, ``shaft_rays`` adds samples in another order
 BOX_MARGIN = wp.constant(0.125)  # by which a box grows at each side, of its own extent
 LEAST_WAY = wp.constant(1.0e-20)  # stands for a component 0 of a way, so that its inverse is finite
 Cached = wp.types.vector(length=LANES, dtype=wp.int32)
@@ -331,12 +333,12 @@ def few_samples(samples: np.ndarray, weights: np.ndarray, device: str = "cpu") -
     """Light samples for ``trace_few``.
 
     Args:
-        samples: (n, 4), homogeneous, rebased world; all points or all directions; 1 <= n <= ``MOST_SAMPLES``.
+        samples: (n, 4), homogeneous, rebased world; all points or all directions; 1 <= n <= ``MOST_HELD``.
         weights: (n,).
         device: Warp device.
     """
     count = len(samples)
-    assert 1 <= count <= MOST_SAMPLES
+    assert 1 <= count <= MOST_HELD
     spare = (0, -count % int(LANES))
     points = np.pad(np.asarray(samples, dtype=np.float32)[:, :3], (spare, (0, 0)), mode="edge")
     out = FewSamples()

@@ -38,7 +38,7 @@ class LightSamples:
 
     @property
     def few(self) -> FewSamples:
-        """The same for ``few_rays``, of at most ``few_rays.MOST_SAMPLES``."""
+        """The same for ``few_rays``, of at most ``few_rays.MOST_HELD``."""
         if self._few is None:
             self._few = few_samples(self.host, self.weights_host, str(self.points_ws.device))
         return self._few

@@ -9,7 +9,7 @@ import warp as wp
 
 from algorithms.plugins import find
 from wkernels.frame.session import Session
-from wkernels.rays.few_rays import MOST_SAMPLES, few_samples, runs_of_image, trace_few
+from wkernels.rays.few_rays import MOST_HELD, MOST_SAMPLES, few_samples, runs_of_image, trace_few
 from wkernels.rays.shaft_rays import trace_shafts
 from wkernels.rays.single_rays import PROVEN_DARK, PROVEN_LIT, trace_light
 from wkernels.scene.geometry import RECEIVES, Geometry
@@ -17,7 +17,7 @@ from wkernels.scene.model import Scene
 
 WIDTH, HEIGHT = 67, 48  # not a whole number of runs
 AREA_LIGHTS = ("directional", "rectangle", "disc", "sphere", "linear", "polygon")
-COUNTS = (1, 2, 8, 16, 17, MOST_SAMPLES)
+COUNTS = (1, 2, MOST_SAMPLES, 16, 17, MOST_HELD)
 
 
 def three(scene: Scene, samples: int, threads: int = 2, prove: int = 1) -> tuple[np.ndarray, ...]:
