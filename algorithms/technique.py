@@ -142,6 +142,8 @@ class Technique(ABC):
         hard: Whether it shows the hard shadow of a soft light's centre; always so in the family ``hard``.
         bias_sign: Sign of the mean error by the method's nature: ``darker``, ``lighter`` or ``none``; seen, and not
             contradicted, in the conformance check's scenes.
+        bias_turns: Where the sign is the opposite one, in words behind "where"; empty unless it is so by nature. Seen
+            in the check's scene of a caster with a piece apart.
         limits: What it must equal in the limit; tested.
         expected_failures: Conformance checks that the published method cannot pass.
         products: What it pulls of a frame, with whatever parameters; tested.
@@ -157,6 +159,7 @@ class Technique(ABC):
     needs: ClassVar[Needs] = Needs()
     hard: ClassVar[bool] = False
     bias_sign: ClassVar[Literal["darker", "lighter", "none"]]
+    bias_turns: ClassVar[str] = ""
     limits: ClassVar[tuple[Limit, ...]] = ()
     expected_failures: ClassVar[tuple[ExpectedFailure, ...]] = ()
     products: ClassVar[tuple[Product, ...]] = ()

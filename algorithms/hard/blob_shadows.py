@@ -11,8 +11,10 @@ casters. ``down`` drops blobs along -Y, as games do, instead of away from the li
 own.
 
 Deviations: the blob falls on whatever lies below, not on one ground.
-Known artefacts: wrong by design. No shape but an ellipse, no self-shadow, nothing fully dark at a distance; a mesh of
-many parts, such as a town in one file, has one blob round them all, and is then far too dark.
+Known artefacts: wrong by design. No shape but an ellipse, no self-shadow, nothing fully dark at a distance. A caster in
+one piece is too light in the mean, the more the higher it floats, and hardly wrong where it rests on the ground. A mesh
+of parts that lie apart, such as a town in one file, or a house and one loose tile, has one blob round them all and is
+far too dark, the more the wider they lie.
 """
 
 from __future__ import annotations
@@ -81,6 +83,7 @@ class BlobShadows(Technique):
     paper = ("schwaerzler2009",)
     products = (Product.G_BUFFER,)
     bias_sign = "lighter"
+    bias_turns = "a mesh has parts that lie apart"
     expected_failures = (
         ExpectedFailure(
             check="behind_an_opaque_slab_all_is_dark",

@@ -70,6 +70,7 @@ def describe(technique: type[Technique]) -> dict[str, Any]:
         },
         "products": [product.value for product in technique.products],
         "bias_sign": technique.bias_sign,
+        "bias_turns": technique.bias_turns,
         "limits": [limit.equals for limit in technique.limits],
         "params": _parameters(technique),
     }

@@ -21,10 +21,13 @@ from experiments.scenes.place import FreeNames, Place, misspelt
 from experiments.scenes.poses import KeyframedPose, Moving, pose
 from experiments.scenes.primitives import Triangles
 from wkernels.errors import nearest
+from wkernels.scene.geometry import box_of
 from wkernels.scene.lights import Light
 from wkernels.scene.model import Mesh, Scene
 
 _DIFFUSE = (0.8, 0.8, 0.8)
+ROUND = 1.0 + 1e-6
+"""Times the largest coordinate: what stands there may have a size."""
 
 
 def load_scene(source: str | Path | Mapping[str, Any], *, base: Path | None = None) -> Scene:
@@ -110,6 +113,7 @@ def _add_meshes(meshes: list[Mesh], place: Place, names: FreeNames, files: dict[
     moving = isinstance(object_to_ws, KeyframedPose) and object_to_ws.moving
     if options.name is not None and any(part.name in names for part in parts):
         raise place.at("name").error(f"another mesh has the name '{options.name}' already.")
+    _check_reach(parts, object_to_ws, options, place)
     for part in parts:
         diffuse = options.diffuse or (_DIFFUSE if kind != "generate" else part.diffuse)
         meshes.append(
@@ -123,6 +127,24 @@ def _add_meshes(meshes: list[Mesh], place: Place, names: FreeNames, files: dict[
                 moving=moving,
             )
         )
+
+
+def _check_reach(parts: Sequence[Mesh], object_to_ws: Any, options: schema.MeshOptions, place: Place) -> None:
+    """Raises InputError where a transform or a keyframe takes a vertex beyond the largest coordinate."""
+    frames = [0] if options.motion is None else [key.frame for key in options.motion.keyframes]
+    key = "transform" if options.motion is None else "motion"
+    for part in parts:
+        box = box_of(part.vertices)
+        if box is None:
+            continue
+        middle, half = box.mean(axis=0), 0.5 * (box[1] - box[0])
+        for pose_ws in map(object_to_ws, frames):
+            reach = np.abs(pose_ws[:3, :3] @ middle + pose_ws[:3, 3]) + np.abs(pose_ws[:3, :3]) @ half
+            if not reach.max() <= ROUND * schema.LARGEST:
+                raise place.at(key).error(
+                    f"takes the mesh '{part.name}' to a coordinate of {reach.max():.3g}; lengths beyond "
+                    f"{schema.LARGEST:g} cannot be drawn."
+                )
 
 
 def _mesh_kind(place: Place) -> str:

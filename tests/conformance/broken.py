@@ -181,6 +181,13 @@ broken("bias_sign_is_as_declared", "declared lighter, but darker", lambda v, fra
 broken("bias_sign_is_as_declared", "declared darker, but lighter", lambda v, frame: v**0.6, bias_sign="darker")
 broken("bias_sign_is_as_declared", "declared lighter, but neither", lambda v, frame: v, bias_sign="lighter")
 broken("bias_sign_is_as_declared", "declared darker, but neither", lambda v, frame: v, bias_sign="darker")
+broken(
+    "bias_sign_is_as_declared",
+    "darker everywhere, though declared to turn",
+    lambda v, frame: v**1.5,
+    bias_sign="darker",
+    bias_turns="it does not",
+)
 broken("bias_sign_is_as_declared", "leaks where two casters hide the light", lambda v, frame: np.maximum(v, 0.005))
 broken("bias_sign_is_as_declared", "lighter in one, darker in the other", leak_and_darken, bias_sign="lighter")
 

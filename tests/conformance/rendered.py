@@ -8,6 +8,7 @@ import numpy as np
 import small_scenes
 from compare import assert_same_image, rmse
 from rig import (
+    a_piece_apart,
     behind_two_casters,
     check,
     kinds_of,
@@ -212,17 +213,21 @@ def bias_sign_is_as_declared(technique: type[Technique], device: str) -> None:
 
     A tenth of the root mean square error counts as none. ``none`` says that there is no more in either scene (of others
     it says nothing); ``lighter`` that there is more in one of them and no darkness in the other, ``darker`` vice versa.
+    Where ``bias_turns`` is declared, the opposite of the sign is to be seen where a caster has a piece apart.
     """
     kind = kinds_of(technique)[0]
     params, frames = small_params(technique, resolution=1024, samples=64), 32 if technique.needs.history else 1
     excess, text = [], f"declared '{technique.bias_sign}'"
-    for build in (overlapping_boxes, behind_two_casters):
+    for build in (overlapping_boxes, behind_two_casters, *([a_piece_apart] if technique.bias_turns else [])):
         scene = build(small_scenes.light(kind, size=2.0))
         error = render(technique, scene, device, params=params, frames=frames).visibility
         error = error - truth(technique, build, device, kind, size=2.0)
         mean, slack = float(np.nanmean(error)), 0.001 + 0.1 * float(np.sqrt(np.nanmean(error**2)))
         excess.append(mean / slack)
         text += f", {build.__name__}: mean error {mean:+.4f}, slack {slack:.4f}"
+    if technique.bias_turns:
+        turned = excess.pop() * (-1.0 if technique.bias_sign == "lighter" else 1.0)
+        assert turned > 1.0, f"{text}: where {technique.bias_turns}, the sign does not turn"
     wrong_way, right_way = {
         "none": (max(map(abs, excess)), np.inf),
         "lighter": (-min(excess), max(excess)),
