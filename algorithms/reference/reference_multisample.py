@@ -7,7 +7,7 @@ equation 3) is that of independent samples; with a low-discrepancy set the true 
 edges.
 
 On the CPU all rays of a receiver are cast at once, against the triangles that touch the pyramid from it to the light
-(``wkernels/rays/shaft_rays.py``), or, if they are at most 8 and nothing is cut out by a texture, against those that they
+(``wkernels/rays/shaft_rays.py``), or, if they are at most 8 and no texture cuts anything out, against those that they
 pass near (``wkernels/rays/few_rays.py``), which decides alike but within rounding; on CUDA one after the other.
 
 Deviation: pixels that can be *proven* wholly lit (no caster touches the shaft to the light) or wholly dark (one
