@@ -6,7 +6,7 @@ STAMP := .venv/.installed
 
 COUNT ?= 100000
 
-.PHONY: help demo test fuzz check bench table picture clean
+.PHONY: help demo test fuzz check bench scenes table picture clean
 .DEFAULT_GOAL := help
 
 help:
@@ -15,6 +15,7 @@ help:
 	@echo "make fuzz    read 100000 broken meshes, experiments and result folders (COUNT=N: N; an hour on 2 cores)"
 	@echo "make check   lint and type check"
 	@echo "make bench   time passes beside other renderers, frames, scaling and start-up (5 minutes)"
+	@echo "make scenes  fetch the real scenes of configs/scenes/real, by package name (300 MB to download)"
 	@echo "make table   bring the tables of README.md and docs/formats.md up to date"
 	@echo "make picture make the picture of README.md again, from the demo"
 	@echo "make clean   remove .venv and out/"
@@ -40,6 +41,9 @@ check: $(STAMP)
 
 bench: $(STAMP)
 	@$(BIN)/wkernels bench
+
+scenes: $(STAMP)
+	$(BIN)/python -m experiments.commands.fetch_scenes
 
 table: $(STAMP)
 	$(BIN)/python -m experiments.commands.readme

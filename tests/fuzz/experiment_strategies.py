@@ -36,6 +36,7 @@ FILES: dict[str, type[BaseModel]] = {
     "stability": StabilityFile,
 }
 _LARGEST_MAP = 256  # texels per side, and the most samples, taps or layers of anything
+_PLAIN_CURVE = {"warp": "none", "scheme": "practical", "warp_distance": None, "pseudo_near": 0.0, "pseudo_far": 0.0}
 _SIZE = st.fixed_dictionaries({"width": st.just(WIDTH), "height": st.just(HEIGHT)})
 
 
@@ -83,6 +84,7 @@ def small() -> Overrides:
         (ConvergenceFile, "crop"): st.none() | st.just({"x": 0, "y": 1, "width": 9, "height": 5}),
         (ConvergenceFile, "light"): st.just(0),
         (CurveFile, "published"): st.none(),
+        **{(CurveFile, key): st.just(value) for key, value in _PLAIN_CURVE.items()},
     }
 
 
@@ -195,6 +197,8 @@ def experiments(kind: str, names: tuple[str, ...]) -> SearchStrategy[dict[str, A
         (model, "scene"): scenes(),
         (model, "scenes"): st.none(),
         (model, "budgets"): st.none(),
+        (RunFile, "projection"): _projections(),
+        (ConvergenceFile, "projection"): _projections(),
         (RunFile, "reference"): from_model(Reference, small()).map(_centre),
         (ConvergenceFile, "reference"): from_model(Reference, small()).map(_centre),
     }
@@ -237,6 +241,6 @@ def _centre(reference: dict[str, Any]) -> dict[str, Any]:
     return {**reference, "samples": 1} if reference.get("light") == "centre" else reference
 
 
-def projection_model() -> type[BaseModel]:
-    """The model of the key ``projection``."""
-    return Projection
+def _projections() -> SearchStrategy[Any]:
+    """Few keys at a time: most pairs of them do not go together."""
+    return st.none() | from_model(Projection, {}, optional=0.08)

@@ -28,6 +28,7 @@ Overrides = Mapping[tuple[type[BaseModel], str], SearchStrategy]
 
 WORDS = ("a", "b", "two words", "ü", "x-1", "ground", "reference", "0", "true", "~")
 """Names; YAML would take some of them for something else unless they are quoted."""
+_OF = 4  # of so many examples one is taken
 _ORDINARY = 10.0  # numbers of up to this size are as likely as all others together
 
 
@@ -68,7 +69,7 @@ def examples(strategy: SearchStrategy, number: int, count: int) -> list[Any]:
 
     @seed(number)
     @settings(
-        max_examples=count,
+        max_examples=_OF * count,
         database=None,
         deadline=None,
         phases=[Phase.generate],
@@ -79,6 +80,7 @@ def examples(strategy: SearchStrategy, number: int, count: int) -> list[Any]:
         out.append(example)
 
     collect()
+    out = out[_OF - 1 :: _OF] or out  # neighbours are often varied from one another
     return [out[i % len(out)] for i in range(count)]  # a strategy with few values runs out of them
 
 

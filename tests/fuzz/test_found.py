@@ -102,7 +102,7 @@ def test_ply_with_a_list_of_no_length(tmp_path: Path, length: str) -> None:
     path = tmp_path / "a.ply"
     text = (Path(__file__).parent / "seeds" / "sheet.ply").read_text()
     path.write_text(text.replace("4 0 3 2 1", f"{length} 0 3 2 1"))
-    assert "line 13: a list has the length" in refused(path)
+    assert "line 14: a list has the length" in refused(path)
 
 
 USD = {

@@ -47,10 +47,10 @@ def test_nothing_that_is_wrong_does_harm(tmp_path: Path) -> None:
 
 
 def test_what_models_accept_runs(tmp_path: Path) -> None:
-    tally = fuzzed(targets.few, [pool.Job("experiment", SEED, 0, 24)], tmp_path)
+    tally = fuzzed(targets.few, [pool.Job("experiment", SEED + i, 0, 16) for i in range(3)], tmp_path)
     assert not tally.findings, shown(tally)
     outcomes = tally.outcomes["experiment"]
-    assert outcomes["walkthrough run"] > 0 and outcomes["refused"] < 12, outcomes
+    assert outcomes["walkthrough run"] > 2 and outcomes["refused"] < 32, outcomes  # for rules that span several keys
 
 
 def test_harm_is_named_and_kept(tmp_path: Path) -> None:
