@@ -14,7 +14,6 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from experiments.config.messages import problems
-from experiments.schema.techniques import names_a_folder
 from wkernels.errors import InputError
 
 TEXTS = frozenset(
@@ -43,8 +42,14 @@ ABOUT_ALL = frozenset({"failures", "left_out"})
 _LARGEST = 10**15
 
 
+def _stays_inside(name: str) -> bool:
+    """Whether a folder of that name lies within the results."""
+    path = Path(name)
+    return bool(name) and "\0" not in name and not path.is_absolute() and ".." not in path.parts
+
+
 def _folder_name(name: str) -> str:
-    if not names_a_folder(name):
+    if not _stays_inside(name):
         raise ValueError("cannot be the name of a folder.")
     return name
 
@@ -194,7 +199,7 @@ def check_table(
             may_be_empty = column not in WHOLE or (name in ABOUT_ALL and column in ("frame", "step"))
             if column not in columns or (text == "" and (may_be_empty or column == "label")):
                 continue
-            if column == "label" and not names_a_folder(text):
+            if column == "label" and not _stays_inside(text):
                 raise InputError(f"cannot be a label: {text[:40]!r}.", file=path, line=line, key=column)
             if column in TEXTS:
                 continue
