@@ -1,0 +1,25 @@
+"""Penumbra wedges of spheres and discs.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from algorithms.technique import Needs
+from algorithms.wedges._wedges import WedgeParams, WedgeTechnique
+from wkernels.scene.lights import Light
+from wkernels.wedges.passes import Stage, prepare, see_by_wedges
+
+
+class WedgeSpherical(WedgeTechnique):
+    """Edges over a disc."""
+
+    name = "wedge_spherical"
+    paper = ("assarsson2003", "schwaerzler2009")
+    needs = Needs(lights=frozenset({"sphere", "disc", "directional", "point"}))
+    bias_sign = "darker"
+    Params = WedgeParams
+
+    def see(self, stage: Stage, light: Light, visibility_out: wp.array) -> None:
+        if (prepared := prepare(stage, light)) is not None:
+            see_by_wedges(prepared, visibility_out)
