@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import ClassVar
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, ClassVar, Literal
 
 import warp as wp
 
 from algorithms.technique import Frame, Limit, Technique, setting
 from algorithms.technique import Params as BaseParams
 from wkernels.casters.volume_counts import Uncounted
-from wkernels.scene.lights import Light
+from wkernels.scene.lights import Light, RectangleLight
 from wkernels.wedges.bodies import WedgeRule
-from wkernels.wedges.passes import Stage, see_hard
+from wkernels.wedges.passes import Prepared, Stage, add_part, prepare, see_by_wedges, see_casters_apart, see_hard
+from wkernels.wedges.stored import StorageRule
 from wkernels.workspace.left_out import Because, Omission
 from wkernels.workspace.products import Product
 
 
 class Skip(Omission):
-    """What a light without an area saves."""
+    """What a light without an area saves, and one whose texture is constant."""
 
     WEDGES = "penumbra wedges", Because.NO_AREA
+    TEXTURE = "shares of the light's texture", "it is constant"
 
 
 class WedgeParams(BaseParams):
@@ -31,6 +35,29 @@ class WedgeParams(BaseParams):
         "wedges before or behind all that a tile shows are left out of its list; the picture is the same",
         unit="yes/no",
         source="Assarsson 2003, sec. 4.4",
+    )
+
+
+class SummedParams(WedgeParams):
+    """How shares are found and summed."""
+
+    coverage: Literal["analytic", "table"] = setting(
+        "analytic",
+        "computed, or from the published tables of 4 x 128 angles and 256 x 256 sectors",
+        unit="kind",
+        source="Assarsson 2003, sec. 6: table",
+    )
+    buffer: Literal["f32", "split12", "lut10", "bits6of8"] = setting(
+        "f32",
+        "what shares are summed in: float32; 12 bits over four 8-bit channels; of these the 1024 of a table; 6 of 8 bits",
+        unit="kind",
+        source="Assarsson 2003, sec. 4.3: split12",
+    )
+    overlap: Literal["sum", "probabilistic"] = setting(
+        "sum",
+        "casters together, or each on its own and the greater cover merged with half of the lesser",
+        unit="kind",
+        source="Assarsson 2003, sec. 5.1, eq. 1",
     )
 
 
@@ -79,3 +106,46 @@ class WedgeTechnique(Technique):
     @abstractmethod
     def see(self, stage: Stage, light: Light, visibility_out: wp.array) -> None:
         """Visibility of a light with an area, float32 (H, W)."""
+
+
+def see_summed(prepared: Prepared, params: Any, visibility_out: wp.array) -> None:
+    """Visibility by ``SummedParams``."""
+    see = see_by_wedges if params.overlap == "sum" else see_casters_apart
+    see(prepared, visibility_out, StorageRule(params.coverage, params.buffer))
+
+
+def see_parts(
+    stage: Stage,
+    light: Light,
+    split: int,
+    see: Callable[[Prepared, Light, wp.array], None],
+    visibility_out: wp.array,
+) -> None:
+    """Mean visibility of the parts of a light, a rectangle if there is more than one.
+
+    Args:
+        stage: Where.
+        light: Rebased world.
+        split: Parts along each side.
+        see: Fills an image with the visibility of one part, given prepared.
+        visibility_out: float32 (H, W).
+    """
+    parts = _cut(light, split)
+    image = visibility_out
+    if len(parts) > 1:
+        image = stage.work.buffer("visibility of a part", visibility_out.shape, wp.float32)
+    for i, part in enumerate(parts):
+        if (prepared := prepare(stage, part, (split, i))) is None:
+            see_hard(stage, part, image)
+        else:
+            see(prepared, part, image)
+        if len(parts) > 1:
+            stage.work.launch(add_part, image.shape, [image, 1.0 / len(parts), int(i == 0)], [visibility_out])
+
+
+def _cut(light: Light, split: int) -> list[Light]:
+    if split == 1 or not isinstance(light, RectangleLight):
+        return [light]
+    u, v = light.edge_u / split, light.edge_v / split
+    middles = [(0.5 * (2 * i + 1 - split), 0.5 * (2 * j + 1 - split)) for j in range(split) for i in range(split)]
+    return [replace(light, center=light.center + a * u + b * v, edge_u=u, edge_v=v, texture=None) for a, b in middles]

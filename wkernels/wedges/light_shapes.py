@@ -41,6 +41,7 @@ class LightShape:
     radius: float  # FACING, scene units
     per_length: float  # 1 over the least half size
     nearest: float  # SUN: least w, scene units
+    own_plane: int  # whether a receiver's own surface hides what lies behind it
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +77,7 @@ class HostShape:
         out.centre_ws = wp.vec3(*self.centre_ws)
         out.axis_u, out.axis_v, out.axis_n = (wp.vec3(*axis) for axis in self.axes)
         out.half_u_ws, out.half_v_ws = (wp.vec3(*half) for half in self.halves_ws)
+        out.own_plane = 1
         out.radius, out.per_length, out.nearest = self.radius, 1.0 / self.size, float(NEAREST) * span
         return out
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
@@ -19,9 +19,12 @@ from wkernels.scene.geometry import Geometry
 from wkernels.scene.lights import Light
 from wkernels.scene.views import HostView
 from wkernels.wedges.bodies import WedgeRule, Wedges, bin_wedges, pull_wedges
+from wkernels.wedges.cells import shade_cells
 from wkernels.wedges.light_shapes import HostShape, LightShape, shape_of
-from wkernels.wedges.shading import Faces, settle
+from wkernels.wedges.shading import Faces, hide_behind_own_plane, settle
 from wkernels.wedges.shading_lanes import SHADE
+from wkernels.wedges.stored import StorageRule, shade_stored
+from wkernels.wedges.textures import LightTexture, shade_textured
 from wkernels.workspace.workspace import Workspace
 
 
@@ -74,8 +77,8 @@ class Prepared:
     wedges: Wedges
     faces: Faces
 
-    def count(self) -> wp.array:
-        """Hard counts, int32 (H, W), valid until the next call."""
+    def count(self, chosen: np.ndarray | None = None) -> wp.array:
+        """Hard counts of all casters or of those chosen, bool (C,); int32 (H, W), valid until the next call."""
         stage = self.stage
         return count_volumes(
             stage.work,
@@ -85,6 +88,7 @@ class Prepared:
             stage.eye,
             self.shape.light_ws,
             slot=self.slot,
+            chosen=chosen,
         )
 
     def lists(self, wedges: Wedges) -> TileLists:
@@ -126,27 +130,105 @@ def prepare(stage: Stage, light: Light, slot: Hashable = 0) -> Prepared | None:
     return Prepared(stage, slot, shape, shape.to_device(stage.reach), silhouettes, wedges, faces)
 
 
-def see_by_wedges(prepared: Prepared, visibility_out: wp.array) -> None:
+def see_by_wedges(prepared: Prepared, visibility_out: wp.array, storage: StorageRule = StorageRule()) -> None:
     """Visibility of a light, float32 (H, W): hard counts and all its edges together."""
-    stage, work = prepared.stage, prepared.stage.work
-    counts = prepared.count()
-    lists = prepared.lists(prepared.wedges)
-    edges = prepared.wedges.edges
-    with work.timed("penumbra wedges"):
-        inputs = [stage.gbuffer, prepared.light, edges, lists, counts]
-        work.launch(SHADE, visibility_out.shape, inputs, [visibility_out])
-    settle_untrusted(prepared, prepared.wedges, lists, prepared.faces, visibility_out)
+    _shade(prepared, prepared.wedges, prepared.count(), prepared.faces, storage, visibility_out)
 
 
-def settle_untrusted(
-    prepared: Prepared, wedges: Wedges, lists: TileLists, faces: Faces, visibility_out: wp.array
+def _shade(
+    prepared: Prepared, wedges: Wedges, counts: wp.array, faces: Faces, rule: StorageRule, visibility_out: wp.array
 ) -> None:
-    """Settles the receivers that are ``UNTRUSTED``."""
-    stage = prepared.stage
-    light_ws = wp.vec4d(*prepared.shape.light_ws)
-    with stage.work.timed("recounts"):
-        inputs = [stage.gbuffer, prepared.light, light_ws, wedges.edges, lists, faces]
-        stage.work.launch(settle, visibility_out.shape, inputs, [visibility_out])
+    stage, work = prepared.stage, prepared.stage.work
+    lists = prepared.lists(wedges)
+    inputs = [stage.gbuffer, prepared.light, wedges.edges, lists, counts]
+    with work.timed("penumbra wedges"):
+        if rule.is_plain:
+            work.launch(SHADE, visibility_out.shape, inputs, [visibility_out])
+        else:
+            shape = prepared.shape.shape
+            storage = work.product(
+                "coverage tables", ("coverage tables", shape, rule), (), lambda old: rule.to_device(shape, work.device)
+            )
+            work.launch(shade_stored, visibility_out.shape, [*inputs, storage], [visibility_out])
+    with work.timed("recounts"):
+        inputs = [stage.gbuffer, prepared.light, wp.vec4d(*prepared.shape.light_ws), wedges.edges, lists, faces]
+        work.launch(settle, visibility_out.shape, inputs, [visibility_out])
+
+
+def see_casters_apart(prepared: Prepared, visibility_out: wp.array, storage: StorageRule = StorageRule()) -> None:
+    """Visibility of a light, float32 (H, W): of every caster on its own, merged one after the other by ``merge_cover``.
+
+    A caster is a connected component, in the order of their numbers: its holes are loops too, and take from its own.
+    """
+    stage, work, wedges = prepared.stage, prepared.stage.work, prepared.wedges
+    turns, of_face = prepared.silhouettes.turns, pull_edges(work, stage.geometry).component
+    casters, first = np.unique(wedges.component, return_index=True)
+    if len(casters) < 2:
+        see_by_wedges(prepared, visibility_out, storage)
+        return
+    light = prepared.shape.to_device(stage.reach)
+    light.own_plane = 0  # it would count once for each caster
+    prepared = replace(prepared, light=light)
+    part = work.buffer("visibility past one caster", visibility_out.shape, wp.float32)
+    visibility_out.fill_(1.0)
+    for caster, begin, end in zip(casters, first, [*first[1:], len(wedges.component)], strict=True):
+        chosen = np.zeros(len(pull_edges(work, stage.geometry).component_closed), bool)
+        chosen[caster] = True
+        counts = prepared.count(chosen)
+        faces = Faces()
+        faces.mesh_id, faces.points_ws, faces.reach = stage.mesh_id, stage.geometry.points_ws, stage.reach
+        faces.indices = prepared.faces.indices
+        faces.turns = wp.array(np.where(of_face == caster, turns, 0).astype(np.int8), dtype=wp.int8, device=work.device)
+        _shade(prepared, wedges.of(slice(int(begin), int(end))), counts, faces, storage, part)
+        with work.timed("merging"):
+            work.launch(merge_cover, part.shape, [part], [visibility_out])
+    light = prepared.shape.to_device(stage.reach)
+    work.launch(hide_behind_own_plane, part.shape, [stage.gbuffer, light], [visibility_out])
+
+
+@wp.kernel
+def merge_cover(first: int, part: wp.array2d(dtype=float), visibility_out: wp.array2d(dtype=float)):
+    """What two casters cover together, who knows where: the greater and half of the lesser (Assarsson 2003, eq. 1)."""
+    row, x = wp.tid()
+    y = first + row
+    a = 1.0 - visibility_out[y, x]
+    b = 1.0 - part[y, x]
+    visibility_out[y, x] = wp.max(0.0, 1.0 - (wp.max(a, b) + 0.5 * wp.min(a, b)))
+
+
+@wp.kernel
+def add_part(
+    first: int, part: wp.array2d(dtype=float), share: float, begins: int, visibility_out: wp.array2d(dtype=float)
+):
+    """Adds a share of one image to another, or begins it."""
+    row, x = wp.tid()
+    y = first + row
+    before = float(0.0)
+    if begins == 0:
+        before = visibility_out[y, x]
+    visibility_out[y, x] = before + share * part[y, x]
+
+
+def see_textured(prepared: Prepared, texture: LightTexture, visibility_out: wp.array) -> None:
+    """Visibility of a light with a texture, float32 (H, W)."""
+    stage, work = prepared.stage, prepared.stage.work
+    counts, lists = prepared.count(), prepared.lists(prepared.wedges)
+    with work.timed("penumbra wedges"):
+        inputs = [*_exact_inputs(prepared, lists), texture, counts]
+        work.launch(shade_textured, visibility_out.shape, [stage.gbuffer, *inputs], [visibility_out])
+
+
+def see_cells(prepared: Prepared, visibility_out: wp.array) -> None:
+    """Visibility of a light, float32 (H, W), as the share of its cells that nothing hides."""
+    stage, work = prepared.stage, prepared.stage.work
+    counts, lists = prepared.count(), prepared.lists(prepared.wedges)
+    with work.timed("penumbra wedges"):
+        inputs = [*_exact_inputs(prepared, lists), counts]
+        work.launch(shade_cells, visibility_out.shape, [stage.gbuffer, *inputs], [visibility_out])
+
+
+def _exact_inputs(prepared: Prepared, lists: TileLists) -> list:
+    return [prepared.light, wp.vec4d(*prepared.shape.light_ws), prepared.wedges.edges, lists, prepared.faces]
 
 
 def see_hard(stage: Stage, light: Light, visibility_out: wp.array) -> None:

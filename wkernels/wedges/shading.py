@@ -49,9 +49,9 @@ def share_before(light: LightShape, sight: Sight, position_ws: wp.vec3, normal_w
 
 @wp.func
 def lit_share(light: LightShape, sight: Sight, gbuffer: GBuffer, y: int, x: int, visible: float):
-    """Visibility within [0, 1], and no more than the receiver's own surface lets through."""
+    """Visibility within [0, 1], and no more than the receiver's own surface lets through if that is asked for."""
     share = wp.clamp(visible, 0.0, 1.0)
-    if (gbuffer.flags[y, x] & CASTS) != 0:
+    if light.own_plane != 0 and (gbuffer.flags[y, x] & CASTS) != 0:
         share = wp.min(share, share_before(light, sight, gbuffer.position_ws[y, x], gbuffer.normal_ws[y, x]))
     return share
 
@@ -132,3 +132,15 @@ def settle(
             else:
                 total -= edges.weight[e] * share
     visibility_out[y, x] = lit_share(light, sight, gbuffer, y, x, 1.0 - float(count) + total)
+
+
+@wp.kernel
+def hide_behind_own_plane(
+    first: int, gbuffer: GBuffer, light: LightShape, visibility_out: wp.array2d(dtype=float)
+):
+    """What ``shade`` does last, for visibility that several passes made."""
+    row, x = wp.tid()
+    y = first + row
+    if (gbuffer.flags[y, x] & RECEIVES) != 0:
+        sight = see_light(light, gbuffer.position_ws[y, x])
+        visibility_out[y, x] = lit_share(light, sight, gbuffer, y, x, visibility_out[y, x])

@@ -72,18 +72,18 @@ def test_one_convex_loop_is_exact_everywhere(shape: str, device: str) -> None:
     """The light inside, outside and across it: the clipped polygon's area to 1e-4, by the twin and by the kernels."""
     rng = np.random.default_rng(1)
     found, receivers, pairs, owner = [], [], [], []
-    for _ in range(200):
+    for _ in range(80):
         loop = a_convex_loop(rng, rng.uniform(0.1, 1.5))
         p = rng.uniform((-4.0, -4.0, -8.0), (4.0, 4.0, -3.0))
         flat = on_plane(p, loop)
-        exact = clipped_area(flat, None if shape == "square" else 4000)
-        assert abs(hidden_by_loops(shape, p, [loop], winding(flat)) - exact) < 1e-5
+        exact = clipped_area(flat, None if shape == "square" else 256)
+        assert abs(hidden_by_loops(shape, p, [loop], winding(flat)) - exact) < 5e-5
         owner += [len(found)] * len(loop)
         found.append((winding(flat), exact))
         receivers += [p] * len(loop)
         pairs.append(np.stack([loop, np.roll(loop, -1, axis=0)], axis=1))
     centre, area = np.array(found).T
-    assert ((area > 0.01) & (area < 0.99)).sum() > 40
+    assert ((area > 0.01) & (area < 0.99)).sum() > 20
     of_edges = kernel_beyond(shape, np.array(receivers), np.concatenate(pairs), device)
     np.testing.assert_allclose(centre - np.bincount(owner, of_edges), area, atol=1e-4)
 

@@ -1,0 +1,63 @@
+"""Penumbra wedges of rectangles with a texture (Assarsson et al. 2003, sections 4.2.2 and 6).
+
+As ``wedge_rectangular``, but that the share beyond an edge is that of the texture's light: ``coverage: exact`` integrates
+it, constant in each texel, over the region beyond the edge; ``table`` reads the published four-dimensional table of 32
+steps for each coordinate of both ends, 1 MB, and is off by what ends move within a step.
+
+Where the texture is constant, the analytic share is the same and is taken.
+
+Deviations and known artefacts: as ``wedge_rectangular``. Textures are luminance, as everywhere here, so that one table
+does. A surface that the light's plane cuts is shaded by the area before it, not by that area's light.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import warp as wp
+
+from algorithms.technique import Frame, Needs, setting
+from algorithms.wedges._wedges import Skip, WedgeParams, WedgeTechnique, see_parts
+from wkernels.scene.lights import Light, RectangleLight
+from wkernels.wedges.passes import Prepared, Stage, see_by_wedges, see_textured
+from wkernels.wedges.textures import LightTexture, light_texture
+
+
+class WedgeTextured(WedgeTechnique):
+    """Edges over a picture."""
+
+    name = "wedge_textured"
+    paper = ("assarsson2003",)
+    needs = Needs(lights=frozenset({"rectangle", "point"}))
+    bias_sign = "none"
+    may_leave_out = (*WedgeTechnique.may_leave_out, Skip.TEXTURE)
+
+    class Params(WedgeParams):
+        """Where shares of the texture come from."""
+
+        coverage: Literal["exact", "table"] = setting(
+            "exact", "integrated, or from the table of 32^4 bytes", unit="kind", source="Assarsson 2003, sec. 6: table"
+        )
+
+    def see(self, stage: Stage, light: Light, visibility_out: wp.array) -> None:
+        texels = light.texture if isinstance(light, RectangleLight) else None
+        constant = texels is None or bool((np.asarray(texels) == np.asarray(texels).flat[0]).all())
+
+        def see(prepared: Prepared, part: Light, out: wp.array) -> None:
+            if constant and stage.work.leave_out(Skip.TEXTURE):
+                see_by_wedges(prepared, out)
+                return
+            values = np.ones((1, 1)) if texels is None else np.asarray(texels, np.float64)
+            values = values.mean(axis=2) if values.ndim == 3 else values
+            see_textured(prepared, _pull_texture(stage.work, values, self.params.coverage == "table"), out)
+
+        see_parts(stage, light, 1, see, visibility_out)
+
+
+def _pull_texture(work: Frame, values: np.ndarray, stored: bool) -> LightTexture:
+    key = (values.shape, values.tobytes(), stored)
+    out: LightTexture = work.product(
+        "light texture", "light texture", key, lambda old: light_texture(work, values, stored)
+    )
+    return out
