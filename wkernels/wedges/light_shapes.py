@@ -41,6 +41,7 @@ class LightShape:
     radius: float  # FACING, scene units
     per_length: float  # 1 over the least half size
     nearest: float  # SUN: least w, scene units
+    bound: float  # radius of a ball around the light, scene units; of a sun the tangent of its half angle
     own_plane: int  # whether a receiver's own surface hides what lies behind it
 
 
@@ -78,8 +79,16 @@ class HostShape:
         out.axis_u, out.axis_v, out.axis_n = (wp.vec3(*axis) for axis in self.axes)
         out.half_u_ws, out.half_v_ws = (wp.vec3(*half) for half in self.halves_ws)
         out.own_plane = 1
+        out.bound = self.bound
         out.radius, out.per_length, out.nearest = self.radius, 1.0 / self.size, float(NEAREST) * span
         return out
+
+    @property
+    def bound(self) -> float:
+        """Radius of a ball around the light, scene units; of a sun the tangent of its half angle."""
+        if self.shape == int(DISC):
+            return self.size
+        return float(np.linalg.norm(self.corners_ws - self.centre_ws, axis=1).max())
 
     def in_light_space(self, points_ws: np.ndarray) -> np.ndarray:
         """Points (n, 3), rebased world, in the space that the kernels' edges are in."""

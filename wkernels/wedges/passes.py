@@ -13,7 +13,7 @@ from wkernels.casters.silhouettes import Silhouettes
 from wkernels.casters.volume_counts import count_volumes
 from wkernels.casters.volume_stencil import darken_in_volumes
 from wkernels.raster import Rasteriser
-from wkernels.raster.binning import Binner, TileLists
+from wkernels.raster.binning import Binner
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.lights import Light
@@ -21,6 +21,7 @@ from wkernels.scene.views import HostView
 from wkernels.wedges.bodies import WedgeRule, Wedges, bin_wedges, pull_wedges
 from wkernels.wedges.cells import shade_cells
 from wkernels.wedges.light_shapes import HostShape, LightShape, shape_of
+from wkernels.wedges.near_lists import NearLists, keep_all, keep_near
 from wkernels.wedges.shading import Faces, hide_behind_own_plane, settle
 from wkernels.wedges.shading_lanes import SHADE
 from wkernels.wedges.stored import StorageRule, shade_stored
@@ -91,7 +92,7 @@ class Prepared:
             chosen=chosen,
         )
 
-    def lists(self, wedges: Wedges) -> TileLists:
+    def lists(self, wedges: Wedges) -> NearLists:
         """Some of its wedges in lists per tile, valid until the next call."""
         stage = self.stage
         work = stage.work
@@ -100,7 +101,17 @@ class Prepared:
         )
         with work.timed("lists of wedges"):
             seen = stage.gbuffer.depth if stage.culls else None
-            return bin_wedges(binner, wedges, stage.gbuffer.view, seen)
+            out = NearLists()
+            out.lists = bin_wedges(binner, wedges, stage.gbuffer.view, seen)
+            tiles = len(out.lists.begin) - 1
+            out.end = work.buffer("ends of lists", (tiles,), wp.int32)
+            if stage.culls:
+                points_ws = stage.geometry.points_ws
+                inputs = [stage.gbuffer, self.light, points_ws, wedges.edges, stage.reach]
+                work.launch(keep_near, tiles, inputs, [out])
+            else:
+                work.launch(keep_all, tiles, [], [out])
+            return out
 
 
 def prepare(stage: Stage, light: Light, slot: Hashable = 0) -> Prepared | None:
@@ -227,7 +238,7 @@ def see_cells(prepared: Prepared, visibility_out: wp.array) -> None:
         work.launch(shade_cells, visibility_out.shape, [stage.gbuffer, *inputs], [visibility_out])
 
 
-def _exact_inputs(prepared: Prepared, lists: TileLists) -> list:
+def _exact_inputs(prepared: Prepared, lists: NearLists) -> list:
     return [prepared.light, wp.vec4d(*prepared.shape.light_ws), prepared.wedges.edges, lists, prepared.faces]
 
 

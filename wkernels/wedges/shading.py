@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.raster.binning import TileLists, tile_at
+from wkernels.raster.binning import tile_at
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.scene.geometry import CASTS, RECEIVES
 from wkernels.wedges.bodies import WedgeEdges
 from wkernels.wedges.coverage import beyond, clip_to_light, on_light, share_above
 from wkernels.wedges.light_shapes import FACING, SUN, LightShape, Sight, see_light, seen
+from wkernels.wedges.near_lists import NearLists
 from wkernels.wedges.recounting import blur_of, count_hiding_faces, is_left, passes_centre
 
 UNTRUSTED = wp.constant(-1.0)
@@ -62,7 +63,7 @@ def shade(
     gbuffer: GBuffer,
     light: LightShape,
     edges: WedgeEdges,
-    lists: TileLists,
+    near: NearLists,
     counts: wp.array2d(dtype=int),
     visibility_out: wp.array2d(dtype=float),
 ):
@@ -76,9 +77,9 @@ def shade(
         blur = blur_of(gbuffer.view, sight, gbuffer.depth[y, x], position_ws)
         total = float(0.0)
         untrusted = int(0)
-        tile = tile_at(lists, y, x)
-        for i in range(lists.begin[tile], lists.begin[tile + 1]):
-            e = lists.shape[i]
+        tile = tile_at(near.lists, y, x)
+        for i in range(near.lists.begin[tile], near.end[tile]):
+            e = near.lists.shape[i]
             p0 = seen(sight, edges.ends[2 * e])
             p1 = seen(sight, edges.ends[2 * e + 1])
             span = clip_to_light(light.shape, sight, p0, p1)
@@ -100,7 +101,7 @@ def settle(
     light: LightShape,
     light_ws: wp.vec4d,
     edges: WedgeEdges,
-    lists: TileLists,
+    near: NearLists,
     faces: Faces,
     visibility_out: wp.array2d(dtype=float),
 ):
@@ -118,9 +119,9 @@ def settle(
         faces.mesh_id, faces.points_ws, faces.indices, faces.turns, own, position_ws, light_ws, faces.reach
     )
     total = float(0.0)
-    tile = tile_at(lists, y, x)
-    for i in range(lists.begin[tile], lists.begin[tile + 1]):
-        e = lists.shape[i]
+    tile = tile_at(near.lists, y, x)
+    for i in range(near.lists.begin[tile], near.end[tile]):
+        e = near.lists.shape[i]
         p0 = seen(sight, edges.ends[2 * e])
         p1 = seen(sight, edges.ends[2 * e + 1])
         span = clip_to_light(light.shape, sight, p0, p1)

@@ -6,12 +6,13 @@ import warp as wp
 
 from wkernels.device.lanes import LANES, Floats, Ints, runs_of, store_run
 from wkernels.device.twin import Twin
-from wkernels.raster.binning import TileLists, tile_at
+from wkernels.raster.binning import tile_at
 from wkernels.raster.gbuffer import PADDING, GBuffer
 from wkernels.scene.geometry import RECEIVES
 from wkernels.wedges.bodies import WedgeEdges
 from wkernels.wedges.coverage import beyond_in_disc, beyond_in_square, enters, enters_disc, leaves, leaves_disc
 from wkernels.wedges.light_shapes import DISC, SQUARE, LightShape, see_light
+from wkernels.wedges.near_lists import NearLists
 from wkernels.wedges.recounting import blur_of, passes_centre
 from wkernels.wedges.shading import UNTRUSTED, lit_share, shade
 
@@ -72,7 +73,7 @@ def shade_lanes(
     flags: wp.array(dtype=Ints),  # a run from every pixel on
     light: LightShape,
     edges: WedgeEdges,
-    lists: TileLists,
+    near: NearLists,
     counts: wp.array2d(dtype=int),
     visibility_out: wp.array2d(dtype=float),
 ):
@@ -80,9 +81,9 @@ def shade_lanes(
     row, run = wp.tid()
     y = first + row
     x0 = run * LANES
-    tile = tile_at(lists, y, x0)
-    begin = lists.begin[tile]
-    end = lists.begin[tile + 1]
+    tile = tile_at(near.lists, y, x0)
+    begin = near.lists.begin[tile]
+    end = near.end[tile]
     flag = flags[y * visibility_out.shape[1] + x0]
     sights = SightRun()
     if begin < end:
@@ -100,7 +101,7 @@ def shade_lanes(
     if sights.count == 0:
         end = begin
     for i in range(begin, end):
-        e = lists.shape[i]
+        e = near.lists.shape[i]
         a = edges.ends[2 * e]
         b = edges.ends[2 * e + 1]
         a_x, a_y, a_z = a[0], a[1], a[2]
@@ -130,10 +131,10 @@ def shade_lanes(
         if hit == 0:
             continue
         for k in range(LANES):
-            near = sights.nearest[k]
+            least = sights.nearest[k]
             far = sights.depth[k]
-            from_ = enters(0.0, w0[k] - near, w1[k] - near)
-            to = leaves(1.0, w0[k] - near, w1[k] - near)
+            from_ = enters(0.0, w0[k] - least, w1[k] - least)
+            to = leaves(1.0, w0[k] - least, w1[k] - least)
             low[k] = enters(from_, far - w0[k], far - w1[k])
             high[k] = leaves(to, far - w0[k], far - w1[k])
         if light.shape == SQUARE:

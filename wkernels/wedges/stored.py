@@ -18,12 +18,13 @@ from typing import Literal
 import numpy as np
 import warp as wp
 
-from wkernels.raster.binning import TileLists, tile_at
+from wkernels.raster.binning import tile_at
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.scene.geometry import RECEIVES
 from wkernels.wedges.bodies import WedgeEdges
 from wkernels.wedges.coverage import beyond, border_at, clip_to_light, on_light
 from wkernels.wedges.light_shapes import DISC, LightShape, see_light, seen
+from wkernels.wedges.near_lists import NearLists
 from wkernels.wedges.recounting import blur_of, passes_centre
 from wkernels.wedges.shading import UNTRUSTED, lit_share
 
@@ -164,7 +165,7 @@ def shade_stored(
     gbuffer: GBuffer,
     light: LightShape,
     edges: WedgeEdges,
-    lists: TileLists,
+    near: NearLists,
     counts: wp.array2d(dtype=int),
     storage: Storage,
     visibility_out: wp.array2d(dtype=float),
@@ -181,9 +182,9 @@ def shade_stored(
         added = Channels(0)
         taken = Channels(0)
         untrusted = int(0)
-        tile = tile_at(lists, y, x)
-        for i in range(lists.begin[tile], lists.begin[tile + 1]):
-            e = lists.shape[i]
+        tile = tile_at(near.lists, y, x)
+        for i in range(near.lists.begin[tile], near.end[tile]):
+            e = near.lists.shape[i]
             p0 = seen(sight, edges.ends[2 * e])
             p1 = seen(sight, edges.ends[2 * e + 1])
             span = clip_to_light(light.shape, sight, p0, p1)

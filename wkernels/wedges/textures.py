@@ -13,12 +13,13 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from wkernels.raster.binning import TileLists, tile_at
+from wkernels.raster.binning import tile_at
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.scene.geometry import RECEIVES
 from wkernels.wedges.bodies import WedgeEdges
 from wkernels.wedges.coverage import border_at, clip_to_light, on_light
 from wkernels.wedges.light_shapes import LightShape, see_light, seen
+from wkernels.wedges.near_lists import NearLists
 from wkernels.wedges.recounting import blur_of, count_hiding_faces, is_left, passes_centre
 from wkernels.wedges.shading import Faces, lit_share
 from wkernels.workspace.workspace import Workspace
@@ -171,7 +172,7 @@ def shade_textured(
     light: LightShape,
     light_ws: wp.vec4d,
     edges: WedgeEdges,
-    lists: TileLists,
+    near: NearLists,
     faces: Faces,
     texture: LightTexture,
     counts: wp.array2d(dtype=int),
@@ -187,11 +188,11 @@ def shade_textured(
         to_light = wp.vec3d(light_ws[0], light_ws[1], light_ws[2]) - at * light_ws[3]
         sight = see_light(light, position_ws)
         blur = blur_of(gbuffer.view, sight, gbuffer.depth[y, x], position_ws)
-        tile = tile_at(lists, y, x)
+        tile = tile_at(near.lists, y, x)
         untrusted = int(0)
         total = float(0.0)
-        for i in range(lists.begin[tile], lists.begin[tile + 1]):
-            e = lists.shape[i]
+        for i in range(near.lists.begin[tile], near.end[tile]):
+            e = near.lists.shape[i]
             p0 = seen(sight, edges.ends[2 * e])
             p1 = seen(sight, edges.ends[2 * e + 1])
             span = clip_to_light(light.shape, sight, p0, p1)
