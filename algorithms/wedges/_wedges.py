@@ -21,10 +21,9 @@ from wkernels.workspace.products import Product
 
 
 class Skip(Omission):
-    """What a light without an area saves, and one whose texture is constant."""
+    """What a light without an area saves."""
 
     WEDGES = "penumbra wedges", Because.NO_AREA
-    TEXTURE = "shares of the light's texture", "it is constant"
 
 
 class WedgeParams(BaseParams):

@@ -1,4 +1,4 @@
-"""Penumbra wedges of rectangles (Assarsson et al. 2003, sections 4.1, 4.2.2 and 5.2).
+"""Penumbra wedges of rectangles (Assarsson et al. 2003, sections 4.1, 4.2.2, 5; Schwaerzler 2009, section 4.12).
 
 As ``wedge_spherical``, but that a pixel sees the light as a square: the light's plane is the near plane of a projection
 from the pixel, edges are clipped to its four sides before they are divided, and the sector between two rays from the
@@ -8,7 +8,8 @@ centre is half the way between them along the border. No arc tangent is needed.
 ``sphere_bounded`` ones enclose its bounding sphere instead, as in the authors' earlier work. ``light_split: n`` cuts the
 light into n x n, each with silhouettes of its own, and takes the mean of what they show.
 
-Deviations and known artefacts: as ``wedge_spherical``. A light that is cut finely enough has neither of the last two;
+Deviations: as ``wedge_spherical``.
+Known artefacts: as there. A light that is cut finely enough has neither of the last two;
 its cost grows with n x n, though less, as its wedges become thin.
 """
 

@@ -6,8 +6,8 @@ steps for each coordinate of both ends, 1 MB, and is off by what ends move withi
 
 Where the texture is constant, the analytic share is the same and is taken.
 
-Deviations and known artefacts: as ``wedge_rectangular``. Textures are luminance, as everywhere here, so that one table
-does. A surface that the light's plane cuts is shaded by the area before it, not by that area's light.
+Deviations: as ``wedge_spherical``. Textures are luminance, as everywhere here, so that one table does.
+Known artefacts: as there. A surface that the light's plane cuts is shaded by the area before it, not by that area's light.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 
 from algorithms.technique import Frame, Needs, setting
-from algorithms.wedges._wedges import Skip, WedgeParams, WedgeTechnique, see_parts
+from algorithms.wedges._wedges import WedgeParams, WedgeTechnique, see_parts
 from wkernels.scene.lights import Light, RectangleLight
 from wkernels.wedges.passes import Prepared, Stage, see_by_wedges, see_textured
 from wkernels.wedges.textures import LightTexture, light_texture
@@ -31,7 +31,6 @@ class WedgeTextured(WedgeTechnique):
     paper = ("assarsson2003",)
     needs = Needs(lights=frozenset({"rectangle", "point"}))
     bias_sign = "none"
-    may_leave_out = (*WedgeTechnique.may_leave_out, Skip.TEXTURE)
 
     class Params(WedgeParams):
         """Where shares of the texture come from."""
@@ -45,11 +44,10 @@ class WedgeTextured(WedgeTechnique):
         constant = texels is None or bool((np.asarray(texels) == np.asarray(texels).flat[0]).all())
 
         def see(prepared: Prepared, part: Light, out: wp.array) -> None:
-            if constant and stage.work.leave_out(Skip.TEXTURE):
+            if constant:
                 see_by_wedges(prepared, out)
                 return
-            values = np.ones((1, 1)) if texels is None else np.asarray(texels, np.float64)
-            values = values.mean(axis=2) if values.ndim == 3 else values
+            values = np.asarray(texels, np.float64)
             see_textured(prepared, _pull_texture(stage.work, values, self.params.coverage == "table"), out)
 
         see_parts(stage, light, 1, see, visibility_out)

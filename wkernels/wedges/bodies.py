@@ -87,7 +87,7 @@ def bodies_of(ends_ws: np.ndarray, light: HostShape, rule: WedgeRule) -> np.ndar
         radius = light.radius if light.kind == FACING else radius
         ways = np.concatenate([_cone(ends_ws[:, i] - light.centre_ws, radius) for i in range(2)], axis=1)
     else:
-        ways = (ends_ws[:, :, None] - light.corners_ws).reshape(len(ends_ws), -1, 3)
+        ways = (ends_ws[:, :, None] - light.corners_ws).reshape(len(ends_ws), 2 * len(light.corners_ws), 3)
     # directions of any length are the same; of length 1 none is lost to rounding
     length = np.linalg.norm(ways, axis=2, keepdims=True)
     ways = np.where(length > 0.0, ways, 1.0) / np.where(length > 0.0, length, 1.0)

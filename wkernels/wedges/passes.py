@@ -124,7 +124,7 @@ def prepare(stage: Stage, light: Light, slot: Hashable = 0) -> Prepared | None:
     """
     work, geometry = stage.work, stage.geometry
     box = geometry.bounds(casters=True)
-    shape = shape_of(light, 0.5 * (box.low + box.high))
+    shape = shape_of(light, np.zeros(3) if box.empty else 0.5 * (box.low + box.high))
     if shape is None:
         return None
     silhouettes = pull_silhouettes(work, geometry, shape.light_ws, slot=slot)

@@ -93,14 +93,15 @@ def test_five_squares_that_do_not_overlap(shape: str, device: str) -> None:
     """Random squares, as seen side by side on the light: against a million points to 1e-3."""
     rng = np.random.default_rng(5)
     p = np.array([0.3, -0.2, -6.0])
-    loops, flats = [], []
+    loops, flats, halves = [], [], []
     while len(loops) < 5:
-        turn, half = rng.uniform(0.0, np.pi), rng.uniform(0.1, 0.3)
+        turn, half = rng.uniform(0.0, np.pi), rng.uniform(0.15, 0.35)
         angle = turn + np.pi / 4.0 + np.pi / 2.0 * np.arange(4)
-        middle, height = rng.uniform(-1.2, 1.2, 2), rng.uniform(0.2, 0.6)
+        middle, height = rng.uniform(-0.9, 0.9, 2), rng.uniform(0.2, 0.6)
         flat = middle + half * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        if all(np.linalg.norm(flat.mean(axis=0) - other.mean(axis=0)) > 0.62 for other in flats):
+        if all(np.linalg.norm(middle - other.mean(axis=0)) > half + h for other, h in zip(flats, halves, strict=True)):
             flats.append(flat)
+            halves.append(half)
             on_light = np.column_stack([flat, np.zeros(4)])
             loops.append(p + height * (on_light - p))
     grid = np.linspace(-1.0, 1.0, 1000, endpoint=False) + 1e-3

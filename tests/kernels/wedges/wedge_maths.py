@@ -19,7 +19,7 @@ def seen(p: np.ndarray, ends: np.ndarray) -> np.ndarray:
 def clip(shape: str, p0: np.ndarray, p1: np.ndarray, depth: float) -> np.ndarray | None:
     """Both ends on the light (2, 2) of what an edge shows of itself before it; None if nothing."""
     low, high = 0.0, 1.0
-    planes = [np.array([0.0, 0.0, 1.0, -1e-9 * depth]), np.array([0.0, 0.0, -1.0, depth])]
+    planes = [np.array([0.0, 0.0, 1.0, -1e-6 * depth]), np.array([0.0, 0.0, -1.0, depth])]
     if shape == "square":
         planes += [np.array([s if k == 0 else 0.0, s if k == 1 else 0.0, 1.0, 0.0]) for k in (0, 1) for s in (-1.0, 1.0)]
     for plane in planes:
@@ -35,15 +35,17 @@ def clip(shape: str, p0: np.ndarray, p1: np.ndarray, depth: float) -> np.ndarray
     a, b = p0 + low * (p1 - p0), p0 + high * (p1 - p0)
     a, b = a[:2] / a[2], b[:2] / b[2]
     if shape == "disc":
-        along = b - a
-        qa, qb, qc = along @ along, a @ along, a @ a - 1.0
-        d = qb * qb - qa * qc
-        if d <= 0.0 or qa == 0.0:
+        length = np.linalg.norm(b - a)
+        along = (b - a) / max(length, 1e-300)
+        across = np.array([along[1], -along[0]])
+        distance = across @ a
+        if abs(distance) >= 1.0 or length == 0.0:
             return None
-        first, last = max(0.0, (-qb - np.sqrt(d)) / qa), min(1.0, (-qb + np.sqrt(d)) / qa)
+        half = np.sqrt(1.0 - distance * distance)
+        first, last = max(along @ a, -half), min(along @ b, half)
         if first >= last:
             return None
-        a, b = a + first * along, a + last * along
+        a, b = distance * across + first * along, distance * across + last * along
     return np.stack([a, b])
 
 
