@@ -50,7 +50,9 @@ def positions(scene: Scene, device: str, size: tuple[int, int] = SIZE) -> np.nda
     return np.asarray(session.gbuffer().position_ws.numpy(), np.float64) + session.geometry.origin_ws
 
 
-def interval_shares(p: np.ndarray, light: RectangleLight, axis: int, low: float, high: float, height: float) -> np.ndarray:
+def interval_shares(
+    p: np.ndarray, light: RectangleLight, axis: int, low: float, high: float, height: float
+) -> np.ndarray:
     """Share of the light's extent along an axis that lies behind an interval at a height, seen from p on the ground."""
     half = 0.5 * (light.edge_u[0] if axis == 0 else light.edge_v[2])
     scale = HEIGHT / height
@@ -77,7 +79,10 @@ def test_a_half_plane_before_a_disc_is_exact_in_every_pixel(device: str) -> None
     light = disc()
     vertices, faces = small_scenes.plane(40.0, 3.0, (-19.8, 0.0))
     scene = small_scenes.scene([ground(), small_scenes.mesh("half", (vertices, faces), receives=False)], light)
-    p, visible = positions(scene, device, (320, 240)), render(scene, device, "wedge_spherical", {"size": (320, 240)}).visibility
+    p, visible = (
+        positions(scene, device, (320, 240)),
+        render(scene, device, "wedge_spherical", {"size": (320, 240)}).visibility,
+    )
     h = np.clip((p[..., 0] + HEIGHT / 3.0 * (0.2 - p[..., 0]) - light.center[0]) / light.radius, -1.0, 1.0)
     lit = (np.arccos(h) - h * np.sqrt(1.0 - h * h)) / np.pi
     seen = np.isfinite(visible) & (np.abs(p[..., 1]) < 1e-3) & (np.abs(p[..., 2]) < 4.0)
@@ -123,7 +128,10 @@ def test_two_patches(name: str, params: dict[str, Any], expected: tuple[float, f
 
 def stacked() -> Scene:
     """Two plates, one above the other: their penumbrae lie on each other."""
-    plates = [small_scenes.mesh(f"plate {y}", small_scenes.box((0.0, y, 0.0), (1.6, 0.02, 1.6)), receives=False) for y in (2.0, 3.0)]
+    plates = [
+        small_scenes.mesh(f"plate {y}", small_scenes.box((0.0, y, 0.0), (1.6, 0.02, 1.6)), receives=False)
+        for y in (2.0, 3.0)
+    ]
     return small_scenes.scene([ground(), *plates], small_scenes.light("rectangle", (0.0, HEIGHT, 0.0), 2.0))
 
 
@@ -146,7 +154,8 @@ def test_a_silhouette_from_the_centre_misses_what_the_rest_of_the_light_sees(dev
     scene = small_scenes.scene([ground(), tall], small_scenes.light("rectangle", (0.0, HEIGHT, 0.0), 4.0))
     expected = true_visibility(scene, device, size=SIZE, samples=1024)
     error = [
-        render(scene, device, "wedge_rectangular", {"size": SIZE}, light_split=n).visibility - expected for n in (1, 2, 4)
+        render(scene, device, "wedge_rectangular", {"size": SIZE}, light_split=n).visibility - expected
+        for n in (1, 2, 4)
     ]
     assert np.nanmean(error[0]) > 0.002 and np.nanmax(error[0]) > 0.1
     rmse = [np.sqrt(np.nanmean(e**2)) for e in error]
@@ -206,13 +215,21 @@ def test_twelve_bits_hold_36_sums_and_wrap_at_37(device: str) -> None:
         assert summed("split12", 1.0, often) == pytest.approx(often, rel=1e-6)
         assert summed("split12", 0.31, often) == pytest.approx(often * round(0.31 * 4095) / 4095, rel=1e-6)
     assert summed("split12", 1.0, 37) == pytest.approx(37 - 256 * 585 / 4095, rel=1e-6)
-    assert summed("lut10", 0.3, 1) == pytest.approx(0.3, abs=0.5 / 1023) and summed("lut10", 0.3, 1) != summed("split12", 0.3, 1)
-    assert summed("bits6of8", 1.0, 4) == pytest.approx(4.0) and summed("bits6of8", 1.0, 5) == pytest.approx(5 - 256 / 63)
+    assert summed("lut10", 0.3, 1) == pytest.approx(0.3, abs=0.5 / 1023) and summed("lut10", 0.3, 1) != summed(
+        "split12", 0.3, 1
+    )
+    assert summed("bits6of8", 1.0, 4) == pytest.approx(4.0) and summed("bits6of8", 1.0, 5) == pytest.approx(
+        5 - 256 / 63
+    )
 
 
 @wp.kernel
 def find_light_beyond(
-    first: int, texture: LightTexture, ends: wp.array(dtype=wp.vec4), textured_out: wp.array(dtype=float), plain_out: wp.array(dtype=float)
+    first: int,
+    texture: LightTexture,
+    ends: wp.array(dtype=wp.vec4),
+    textured_out: wp.array(dtype=float),
+    plain_out: wp.array(dtype=float),
 ):
     i = first + wp.tid()
     e = ends[i]
@@ -228,7 +245,9 @@ def test_light_beyond_an_edge_is_the_texture_s_integral(device: str) -> None:
     def both(texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         outs = [wp.empty(len(ends), dtype=float, device=device) for _ in range(2)]
         texture = light_texture(Workspace(device), texels, False)
-        launch(find_light_beyond, len(ends), [texture, wp.array(ends, dtype=wp.vec4, device=device)], outs, device=device)
+        launch(
+            find_light_beyond, len(ends), [texture, wp.array(ends, dtype=wp.vec4, device=device)], outs, device=device
+        )
         return outs[0].numpy(), outs[1].numpy()
 
     for size in ((1, 1), (5, 3)):
@@ -252,12 +271,17 @@ def test_a_texture_is_seen(device: str) -> None:
     """A light that is bright at one end moves the penumbra: near the reference, far from the plain light."""
     texels = np.full((4, 8), 0.05)
     texels[:, 6:] = 1.0
-    scene, plain = (small_scenes.scene([ground(), sheet((0.0, 0.0), 2.0, 3.0)], rectangle(2.0, 2.0, t)) for t in (texels, None))
+    scene, plain = (
+        small_scenes.scene([ground(), sheet((0.0, 0.0), 2.0, 3.0)], rectangle(2.0, 2.0, t)) for t in (texels, None)
+    )
     expected = true_visibility(scene, device, size=SIZE, samples=1024)
     exact = render(scene, device, "wedge_textured", {"size": SIZE}).visibility
     stored = render(scene, device, "wedge_textured", {"size": SIZE}, coverage="table").visibility
     other = render(plain, device, "wedge_textured", {"size": SIZE}).visibility
-    rmse = {name: np.sqrt(np.nanmean((v - expected) ** 2)) for name, v in (("exact", exact), ("table", stored), ("other", other))}
+    rmse = {
+        name: np.sqrt(np.nanmean((v - expected) ** 2))
+        for name, v in (("exact", exact), ("table", stored), ("other", other))
+    }
     assert rmse["exact"] < 0.003 and rmse["table"] < 0.02 and rmse["other"] > 0.03, rmse
 
 

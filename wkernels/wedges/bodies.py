@@ -133,7 +133,9 @@ def make_wedges(
     edges = WedgeEdges()
     in_light = light.in_light_space(ends.reshape(-1, 3)).astype(np.float32)
     edges.ends = wp.array(in_light.reshape(-1, 3), dtype=wp.vec3, device=device)
-    edges.vertices = wp.array(np.ascontiguousarray(vertices, dtype=np.int32).reshape(-1, 2), dtype=wp.vec2i, device=device)
+    edges.vertices = wp.array(
+        np.ascontiguousarray(vertices, dtype=np.int32).reshape(-1, 2), dtype=wp.vec2i, device=device
+    )
     edges.weight = wp.array(silhouettes.weight[order].astype(np.float32), dtype=float, device=device)
     bodies = bodies_of(ends, light, rule).astype(np.float32)
     begin = np.arange(len(bodies) + 1, dtype=np.int32) * bodies.shape[1]

@@ -130,9 +130,7 @@ def shape_of(light: Light, middle_ws: np.ndarray) -> HostShape | None:
         e_u, e_v = orthonormal_frame(axis)
         axes = np.stack([e_u / tangent, e_v / tangent, axis])
         halves = tangent * np.stack([e_u, e_v])
-        return HostShape(
-            int(SUN), int(DISC), middle_ws, axes, halves, 0.0, centre, light.hull[:, :3], tangent
-        )
+        return HostShape(int(SUN), int(DISC), middle_ws, axes, halves, 0.0, centre, light.hull[:, :3], tangent)
     return None
 
 

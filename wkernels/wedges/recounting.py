@@ -63,7 +63,13 @@ def is_left(points_ws: wp.array(dtype=wp.vec3), i: int, j: int, position_ws: wp.
 
 @wp.func
 def hides_centre(
-    points_ws: wp.array(dtype=wp.vec3), i: int, j: int, k: int, position_ws: wp.vec3d, to_light: wp.vec3d, light_w: wp.float64
+    points_ws: wp.array(dtype=wp.vec3),
+    i: int,
+    j: int,
+    k: int,
+    position_ws: wp.vec3d,
+    to_light: wp.vec3d,
+    light_w: wp.float64,
 ):
     """Whether the face (i, j, k) lies between a receiver and the light's centre; light_w is 0 for a direction."""
     left = is_left(points_ws, i, j, position_ws, to_light)
@@ -72,7 +78,9 @@ def hides_centre(
         points_ws, k, i, position_ws, to_light
     ):
         corner = wp.vec3d(points_ws[i]) - position_ws
-        normal = wp.cross(wp.vec3d(points_ws[j]) - wp.vec3d(points_ws[i]), wp.vec3d(points_ws[k]) - wp.vec3d(points_ws[i]))
+        normal = wp.cross(
+            wp.vec3d(points_ws[j]) - wp.vec3d(points_ws[i]), wp.vec3d(points_ws[k]) - wp.vec3d(points_ws[i])
+        )
         slope = wp.dot(normal, to_light)
         if slope != ZERO:
             way = wp.dot(normal, corner) / slope

@@ -136,9 +136,7 @@ def settle(
 
 
 @wp.kernel
-def hide_behind_own_plane(
-    first: int, gbuffer: GBuffer, light: LightShape, visibility_out: wp.array2d(dtype=float)
-):
+def hide_behind_own_plane(first: int, gbuffer: GBuffer, light: LightShape, visibility_out: wp.array2d(dtype=float)):
     """What ``shade`` does last, for visibility that several passes made."""
     row, x = wp.tid()
     y = first + row

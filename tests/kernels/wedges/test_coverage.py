@@ -146,7 +146,9 @@ def test_a_half_plane_leaves_the_share_of_a_segment(device: str) -> None:
     h = np.linspace(-0.99, 0.99, 67)
     h = h[np.abs(h) > 1e-3]
     p = np.tile([0.0, 0.0, -2.0], (len(h), 1))
-    ends = np.stack([np.stack([h / 2, -5.0 + 0 * h, -1.0 + 0 * h], 1), np.stack([h / 2, 5.0 + 0 * h, -1.0 + 0 * h], 1)], 1)
+    ends = np.stack(
+        [np.stack([h / 2, -5.0 + 0 * h, -1.0 + 0 * h], 1), np.stack([h / 2, 5.0 + 0 * h, -1.0 + 0 * h], 1)], 1
+    )
     a = np.abs(h)
     exact = np.sign(h) * (np.arccos(a) - a * np.sqrt(1.0 - a * a)) / np.pi
     np.testing.assert_allclose(kernel_beyond("disc", p, ends, device), exact, atol=2e-6)
@@ -157,7 +159,9 @@ def test_a_half_plane_leaves_the_share_of_a_segment(device: str) -> None:
 
 
 @wp.kernel
-def see_from(first: int, light: LightShape, p: wp.array(dtype=wp.vec3), end: wp.vec3, seen_out: wp.array(dtype=wp.vec3)):
+def see_from(
+    first: int, light: LightShape, p: wp.array(dtype=wp.vec3), end: wp.vec3, seen_out: wp.array(dtype=wp.vec3)
+):
     i = first + wp.tid()
     seen_out[i] = seen_on_device(see_light(light, p[i]), end)
 

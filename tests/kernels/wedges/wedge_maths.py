@@ -21,7 +21,9 @@ def clip(shape: str, p0: np.ndarray, p1: np.ndarray, depth: float) -> np.ndarray
     low, high = 0.0, 1.0
     planes = [np.array([0.0, 0.0, 1.0, -1e-6 * depth]), np.array([0.0, 0.0, -1.0, depth])]
     if shape == "square":
-        planes += [np.array([s if k == 0 else 0.0, s if k == 1 else 0.0, 1.0, 0.0]) for k in (0, 1) for s in (-1.0, 1.0)]
+        planes += [
+            np.array([s if k == 0 else 0.0, s if k == 1 else 0.0, 1.0, 0.0]) for k in (0, 1) for s in (-1.0, 1.0)
+        ]
     for plane in planes:
         f0, f1 = plane[:3] @ p0 + plane[3], plane[:3] @ p1 + plane[3]
         if f0 < 0.0 and f1 < 0.0:
