@@ -113,6 +113,8 @@ def _check_declarations(technique: type[Technique], path: Path) -> None:
         raise wrong("`paper` is a tuple of keys of references.bib")
     if technique.bias_sign not in ("darker", "lighter", "none"):
         raise wrong(f"`bias_sign` is 'darker', 'lighter' or 'none', not {technique.bias_sign!r}")
+    if technique.bias_turns and technique.bias_sign == "none":
+        raise wrong("`bias_turns` says where `bias_sign` is the opposite one, which 'none' does not have")
     if unknown := technique.needs.lights - ALL_LIGHTS:
         raise wrong(f"needs an unknown light kind '{min(unknown)}'.{nearest(min(unknown), ALL_LIGHTS)}")
     for name, item in technique.Params.model_fields.items():

@@ -33,6 +33,7 @@ class Needs:
         area: Whether the light must have an area (a point, or a sun without an angle, is refused).
         closed_meshes: Whether casters must be closed 2-manifolds.
         planar_receiver: Whether receivers must be planar.
+        whole_casters: Whether casters must not be cut out by a texture.
         history: Whether results depend on earlier frames.
         still_light: Whether the light must stand still.
     """
@@ -41,6 +42,7 @@ class Needs:
     area: bool = False
     closed_meshes: bool = False
     planar_receiver: bool = False
+    whole_casters: bool = False
     history: bool = False
     still_light: bool = False
 
@@ -142,6 +144,8 @@ class Technique(ABC):
         hard: Whether it shows the hard shadow of a soft light's centre; always so in the family ``hard``.
         bias_sign: Sign of the mean error by the method's nature: ``darker``, ``lighter`` or ``none``; seen, and not
             contradicted, in the conformance check's scenes.
+        bias_turns: Where the sign is the opposite one, in words behind "where"; empty unless it is so by nature. Seen
+            in the check's scene of a caster with a piece apart.
         limits: What it must equal in the limit; tested.
         expected_failures: Conformance checks that the published method cannot pass.
         products: What it pulls of a frame, with whatever parameters; tested.
@@ -157,6 +161,7 @@ class Technique(ABC):
     needs: ClassVar[Needs] = Needs()
     hard: ClassVar[bool] = False
     bias_sign: ClassVar[Literal["darker", "lighter", "none"]]
+    bias_turns: ClassVar[str] = ""
     limits: ClassVar[tuple[Limit, ...]] = ()
     expected_failures: ClassVar[tuple[ExpectedFailure, ...]] = ()
     products: ClassVar[tuple[Product, ...]] = ()
@@ -197,7 +202,7 @@ class MapTechnique(Technique):
     G-buffer and map are pulled here, and scenes that need no map end here; the file says how a map becomes visibility.
     """
 
-    products = (Product.G_BUFFER, Product.LIGHT_MAP)
+    products: ClassVar[tuple[Product, ...]] = (Product.G_BUFFER, Product.LIGHT_MAP)
     Params: ClassVar[type[Params]] = MapParams
 
     @abstractmethod

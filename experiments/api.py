@@ -24,6 +24,7 @@ from wkernels.scene.model import Scene
 
 SceneSource = str | Path | Mapping[str, Any] | Scene
 MAX_PIXELS = 16384  # per side
+MAX_SEED = 2**31 - 1
 
 
 def render_visibility(
@@ -56,7 +57,7 @@ def render_visibility(
         width, height: Pixels, 1 to 16384.
         light: Index of the light whose visibility is asked for.
         device: ``cpu`` or a CUDA device.
-        seed: Seed of all sample sets, at least 0. Same seed, same bits on the CPU.
+        seed: Seed of all sample sets, 0 to 2^31 - 1. Same seed, same bits on the CPU.
         threads: CPU threads; None for all. Never changes the result.
         skips: Whether work that the scene cannot need may be left out.
         plugins: Further plugin files, or a table of techniques by name.
@@ -69,11 +70,13 @@ def render_visibility(
     Raises:
         InputError: Anything in the arguments or the scene is wrong, or the technique cannot work with the light.
     """
-    _check_whole("frames", frames, 1)
+    frames = _whole("frames", frames, 1)
     chosen = _technique(technique, plugins)
     instance = chosen(validate(chosen.Params, from_dict({"params": dict(params or {})}), ("params",), foreign=True))
     light_views = _projection(projection)
-    geometry = _geometry(scene, frame, width, height, light, device, seed, threads)
+    frame, width, height, light, seed = _numbers(frame, width, height, light, seed)
+    threads = None if threads is None else _whole("threads", threads, 1)
+    geometry = _geometry(scene, light, device, threads)
     for lamp in geometry.scene.lights if instance.all_lights else [geometry.scene.lights[light]]:
         check_needs(chosen, geometry.scene, lamp)
     session = Session(
@@ -117,7 +120,7 @@ def reference_visibility(
         width, height: Pixels, 1 to 16384.
         light: Index of the light.
         device: ``cpu`` or a CUDA device.
-        seed: Seed of the sample set, at least 0.
+        seed: Seed of the sample set, 0 to 2^31 - 1.
         threads: CPU threads; None for all. Never changes the result.
         cache: Whether a result of an earlier call with the same content may be read, and this one is stored.
 
@@ -127,7 +130,9 @@ def reference_visibility(
     Raises:
         InputError: Anything in the arguments or the scene is wrong.
     """
-    geometry = _geometry(scene, frame, width, height, light, device, seed, threads)
+    frame, width, height, light, seed = _numbers(frame, width, height, light, seed)
+    threads = None if threads is None else _whole("threads", threads, 1)
+    geometry = _geometry(scene, light, device, threads)
     renderer = ReferenceRenderer(
         geometry,
         samples=samples,
@@ -143,17 +148,19 @@ def reference_visibility(
     return reference.visibility, reference.standard_error
 
 
-def _geometry(
-    scene: SceneSource, frame: int, width: int, height: int, light: int, device: str, seed: int, threads: int | None
-) -> Geometry:
+def _numbers(frame: int, width: int, height: int, light: int, seed: int) -> tuple[int, int, int, int, int]:
+    """The arguments that both calls share, as Python's numbers: NumPy's short ones would wrap around in sums."""
+    return (
+        _whole("frame", frame, 0),
+        _whole("width", width, 1, MAX_PIXELS),
+        _whole("height", height, 1, MAX_PIXELS),
+        _whole("light", light, 0),
+        _whole("seed", seed, 0, MAX_SEED),
+    )
+
+
+def _geometry(scene: SceneSource, light: int, device: str, threads: int | None) -> Geometry:
     """The scene on its device, once every argument that both calls share has been checked."""
-    _check_whole("frame", frame, 0)
-    _check_whole("width", width, 1, MAX_PIXELS)
-    _check_whole("height", height, 1, MAX_PIXELS)
-    _check_whole("light", light, 0)
-    _check_whole("seed", seed, 0)
-    if threads is not None:
-        _check_whole("threads", threads, 1)
     check_device(device)
     loaded = scene if isinstance(scene, Scene) else load_scene(scene)
     if light >= len(loaded.lights):
@@ -161,12 +168,13 @@ def _geometry(
     return Geometry(loaded, device, threads)
 
 
-def _check_whole(name: str, value: int, least: int, most: int | None = None) -> None:
-    """Raises InputError unless ``value`` is a whole number (NumPy's count) in the range."""
-    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not whole or value < least or (most is not None and value > most):
+def _whole(name: str, value: int, least: int, most: int | None = None) -> int:
+    """``value``, which may be NumPy's, as Python's int; raises InputError unless it is a whole number in the range."""
+    is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not is_whole or value < least or (most is not None and value > most):
         bounds = f"at least {least}" if most is None else f"from {least} to {most}"
         raise InputError(f"must be a whole number {bounds}, not {value!r}.", key=name)
+    return int(value)
 
 
 def _technique(name: str, plugins: Sequence[str | Path] | Mapping[str, type[Technique]]) -> type[Technique]:

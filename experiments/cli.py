@@ -1,7 +1,7 @@
 """The command line. Nothing heavy is imported here, so that ``wkernels --help`` answers at once.
 
-Exit status: 0 done, 2 the input is wrong (one message), 1 a defect (traceback in a log file) or a failure in a run
-(failures.csv says which; all else is there), 130 interrupted.
+Exit status: 0 done, 2 the input is wrong or an output cannot be written (one message), 1 a defect (traceback in a log
+file) or a failure in a run (failures.csv says which; all else is there), 130 interrupted.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def render(
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of the sample sets.")] = 1,
     plugin: Plugins = None,
 ) -> None:
-    """Render one visibility image: 1 = lit, 0 = umbra, NaN (black in a PNG) where no receiver is seen."""
+    """Render one visibility image: 1 = lit, 0 = umbra, NaN (slate in a PNG) where no receiver is seen."""
     from experiments.commands.render import render_image
 
     render_image(
@@ -190,16 +190,14 @@ def new_technique(
 
 def main() -> None:
     """Runs the command line and ends the process with its exit status."""
-    from experiments.commands.failures import show_warnings_once
+    from experiments.commands.failures import report_failure, stdout_told, warnings_shown_once
 
-    show_warnings_once()
     try:
-        app(prog_name="wkernels")
+        with warnings_shown_once(), stdout_told():
+            app(prog_name="wkernels")
     except KeyboardInterrupt:
         sys.exit(130)
     except Exception as error:
-        from experiments.commands.failures import report_failure
-
         sys.exit(report_failure(error))
 
 

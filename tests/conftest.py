@@ -1,7 +1,10 @@
 from __future__ import annotations
 
 import os
+import sys
+import warnings
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,7 +13,13 @@ import warp as wp
 
 import wkernels  # fixes Warp's options before any test module defines a kernel
 from algorithms.projections import table
+from experiments import kinds
+from experiments.kinds.stability.cases import CASES
+from experiments.metrics.registry import METRICS
+from experiments.scenes import generators
+from experiments.scenes.files import READERS
 from wkernels.device import launch as launching
+from wkernels.scene.lights import LIGHT_KINDS
 from wkernels.scene.model import Scene
 
 assert wkernels.__version__
@@ -54,6 +63,49 @@ def _own_parts_alone() -> Iterator[None]:
     yield
     for folder, parts in before.items():
         table._added[folder] = parts
+
+
+OWN_KINDS = (Path(kinds.__path__[0]), Path(kinds.__path__[0]).parent)
+"""Where modules of kinds stand: in folders of their own, but for those that all share."""
+OURS = ("WKERNELS_", "WARP_", "XDG_", "HOME", "PATH", "PYTHON", "OPENBLAS_")
+"""How variables begin that change what is tested; libraries set others when they are imported."""
+
+
+def _state_of_process() -> dict[str, Any]:
+    """What all test files of a process share, and none may change for those that come after it."""
+    return {
+        "environment": {name: value for name, value in os.environ.items() if name.startswith(OURS)},
+        "current folder": os.getcwd(),
+        "sys.path": list(sys.path),
+        "warnings.showwarning": warnings.showwarning,
+        "Warp's options": {
+            name: value for name, value in vars(wp.config).items() if isinstance(value, bool | int | str)
+        },
+        "how launches are cut": (launching.WORTH_SHARING_S, launching.default_threads()),
+        "kinds of experiment": (list(kinds.__path__), _strangers()),
+        "stiff cases": list(CASES),
+        "generators": list(generators.__path__),
+        "mesh readers": dict(READERS),
+        "metrics": dict(METRICS),
+        "light kinds": dict(LIGHT_KINDS),
+    }
+
+
+def _strangers() -> list[str]:
+    """Kinds of experiment that have been imported from elsewhere than our folder."""
+    files = {name: getattr(item, "__file__", None) for name, item in vars(kinds).items() if name[0] != "_"}
+    return sorted(name for name, file in files.items() if file and Path(file).parents[1] not in OWN_KINDS)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _leaves_nothing_behind() -> Iterator[None]:
+    """A file that changes what others share fails at its own end, and not one that happens to come after it."""
+    before = _state_of_process()
+    yield
+    for name in [name for name in sys.modules if name.startswith("wkernels_plugin_")]:
+        del sys.modules[name]  # of folders that are gone: the next file of that name is another plugin
+    for what, value in _state_of_process().items():
+        assert value == before[what], f"{what} is changed for the files that come after this one"
 
 
 @pytest.fixture(scope="session", autouse=True)

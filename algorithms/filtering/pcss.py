@@ -17,7 +17,9 @@ or light come close to the receiver.
 Known artefacts: bands in wide penumbrae with 16 taps, noise instead with ``rotate``; where casters overlap their
 depths are averaged, and so are their penumbrae; a sparse search misses thin casters and the outer penumbra, which is
 then lit; a caster close to the light widens the search of every receiver; past a concave edge the receiver's plane
-runs below the neighbouring surface, which then counts as a blocker; taps beyond the map, and beyond the 5 % by which
+runs below the neighbouring surface, which then counts as a blocker; a receiver faces the light or not as the light's
+centre lies above its horizon or below, so that without any caster it is too light by the share of the light that is
+below, or too dark by the share that is above, up to a half either way; taps beyond the map, and beyond the 5 % by which
 the faces of an omnidirectional map overlap, repeat the texel at its border. ``poisson`` fills a disc, which suits
 discs, spheres and the sun; for rectangles and lines ``box`` is exact.
 """

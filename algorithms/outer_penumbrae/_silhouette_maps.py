@@ -116,8 +116,13 @@ class SilhouetteMaps(MapTechnique):
 
     in_loops: ClassVar[bool] = False
     family = "outer_penumbrae"
-    needs = Needs(lights=ALL_LIGHTS, area=True)
-    products = (Product.G_BUFFER, Product.LIGHT_MAP, Product.CASTER_EDGES, Product.SILHOUETTES)
+    needs = Needs(lights=ALL_LIGHTS, area=True, whole_casters=True)
+    products: ClassVar[tuple[Product, ...]] = (
+        Product.G_BUFFER,
+        Product.LIGHT_MAP,
+        Product.CASTER_EDGES,
+        Product.SILHOUETTES,
+    )
     bias_sign = "darker"
     may_leave_out = (Skip.NO_PENUMBRA,)
     limits: ClassVar[tuple[Limit, ...]] = (Limit(equals="shadow_map", light_scale=0.0),)
@@ -174,8 +179,10 @@ class SilhouetteMaps(MapTechnique):
             for view, depth, layer in zip(light_map.views, depths, image.layers, strict=True):
                 plane = plane_of_view(light_map.light_ws, view)
                 ends = _depths(frame, light_map, view.ws_to_ss[2])
-                options = {"width": width, "loops": loops}
-                bins = bin_edges(frame, binner, points, silhouettes, plane, ends, radius, view.to_device(), **options)
+                seen = view.to_device()
+                bins = bin_edges(
+                    frame, binner, points, silhouettes, plane, ends, radius, seen, width=width, loops=loops
+                )
                 to_plane = wp.mat33(*pixel_to_plane(light_map.light_ws, view, plane).astype(np.float32).ravel())
                 in_perspective = int(light_map.light_ws[3] > 0.0)
                 inputs = [depth, bins.lists, bins.edges, to_plane, in_perspective, width or radius]

@@ -37,7 +37,7 @@ from wkernels.casters.outer_edges import (
     to_light_plane,
 )
 from wkernels.casters.pulls import pull_silhouettes
-from wkernels.casters.receiver_planes import ReceiverPlane, extent_of, receiver_planes, turned_to_light
+from wkernels.casters.receiver_planes import extent_of, pull_planes, turned_to_light
 from wkernels.casters.volume_counts import Uncounted, count_volumes
 from wkernels.casters.volume_stencil import darken_in_volumes
 from wkernels.device.lanes import LANES, Floats, Ints, Vectors, runs_of, store_run
@@ -163,7 +163,7 @@ class Plateaus(Technique):
     name = "plateaus"
     family = "outer_penumbrae"
     paper = ("haines2001", "schwaerzler2009", "assarsson2003")
-    needs = Needs(area=True, planar_receiver=True)
+    needs = Needs(area=True, planar_receiver=True, whole_casters=True)
     products = (Product.G_BUFFER, Product.CASTER_EDGES, Product.SILHOUETTES, Product.VOLUMES)
     bias_sign = "darker"
     may_leave_out = (Skip.NO_RAMP, Skip.UNSEEN, Skip.FLAT_NONE, Uncounted.BESIDE)
@@ -190,29 +190,9 @@ class Plateaus(Technique):
         darken_in_volumes(frame, gbuffer, counts, light_ws, visibility)
         return visibility
 
-    def _planes(self, frame: Frame, gbuffer: GBuffer) -> list[tuple[int, ReceiverPlane]]:
-        """Numbered planes; without those that no pixel shows."""
-
-        def build(old: tuple | None) -> tuple:
-            own_planes = old[1] if old else {}
-            return receiver_planes(frame.geometry, frame.index, own_planes), own_planes
-
-        planes = frame.product("receiver planes", "receiver planes", frame.geometry.version, build)[0]
-        if not planes:
-            frame.tell(Skip.FLAT_NONE)
-        numbered = list(enumerate(planes))
-        if len(numbered) > 1 and frame.may_leave_out(Skip.UNSEEN):
-            mesh = gbuffer.mesh.numpy()
-            shown = set(np.flatnonzero(np.bincount(mesh[mesh >= 0], minlength=1)))
-            seen = [(number, plane) for number, plane in numbered if shown.intersection(plane.meshes)]
-            if len(seen) < len(numbered):
-                frame.leave_out(Skip.UNSEEN, count=len(numbered) - len(seen))
-            numbered = seen
-        return numbered
-
     def _add_ramps(self, frame: Frame, gbuffer: GBuffer, light_ws: np.ndarray, visibility_out: wp.array) -> None:
         geometry = frame.geometry
-        planes = self._planes(frame, gbuffer)
+        planes = pull_planes(frame, frame.geometry, frame.index, gbuffer, Skip.UNSEEN, Skip.FLAT_NONE)
         plane_of_mesh = np.full(max(len(geometry.meshes), 1), -1, np.int32)
         for number, plane in planes:
             plane_of_mesh[plane.meshes] = number

@@ -165,7 +165,7 @@ class Smoothies(SilhouetteMaps):
     name = "smoothies"
     paper = ("chan2003", "schwaerzler2009")
     in_loops = True
-    needs = Needs(lights=ALL_LIGHTS - {"directional"}, area=True)
+    needs = Needs(lights=ALL_LIGHTS - {"directional"}, area=True, whole_casters=True)
     stability_limits: ClassVar[dict[str, str]] = {
         "light_grows": "the umbra keeps the hard shadow's size, where a light wider than its distance leaves none",
     }

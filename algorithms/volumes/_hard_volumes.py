@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import warp as wp
 
-from algorithms.technique import Frame, Limit, Technique
+from algorithms.technique import Frame, Limit, Needs, Technique
 from wkernels.casters.volume_counts import Uncounted, VolumeRule, count_volumes
 from wkernels.casters.volume_stencil import darken_in_volumes
 from wkernels.workspace.left_out import Omission
@@ -19,6 +19,7 @@ class HardVolumes(Technique):
 
     family = "volumes"
     hard = True
+    needs = Needs(whole_casters=True)
     products = (Product.G_BUFFER, Product.CASTER_EDGES, Product.SILHOUETTES, Product.VOLUMES)
     may_leave_out: ClassVar[tuple[Omission, ...]] = (Uncounted.BESIDE,)
     limits: ClassVar[tuple[Limit, ...]] = (Limit(equals="ray_cast_point_shadow", tolerance=1e-6, flips=0.002),)

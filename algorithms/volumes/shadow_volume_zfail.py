@@ -26,7 +26,8 @@ from __future__ import annotations
 
 from typing import Literal
 
-from algorithms.technique import Params, setting
+from algorithms.technique import Params as BaseParams
+from algorithms.technique import setting
 from algorithms.volumes._hard_volumes import HardVolumes
 from wkernels.casters.volume_counts import VolumeRule
 
@@ -38,7 +39,7 @@ class ShadowVolumeZfail(HardVolumes):
     paper = ("everitt2002", "assarsson2003")
     bias_sign = "none"
 
-    class Params(Params):
+    class Params(BaseParams):
         """How volumes are counted."""
 
         volume: Literal["zfail", "per_caster"] = setting(

@@ -28,7 +28,8 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
-from algorithms.technique import ExpectedFailure, Params, setting
+from algorithms.technique import ExpectedFailure, setting
+from algorithms.technique import Params as BaseParams
 from algorithms.volumes._hard_volumes import HardVolumes
 from wkernels.casters.volume_counts import Uncounted, VolumeRule
 from wkernels.workspace.left_out import Omission
@@ -54,7 +55,7 @@ class ShadowVolumeZpass(HardVolumes):
         "light_place": "of a body that holds the light all outside is its volume, the eye too",
     }
 
-    class Params(Params):
+    class Params(BaseParams):
         """How volumes are counted, and what counts mean."""
 
         volume: Literal["zpass", "per_caster"] = setting(

@@ -23,19 +23,10 @@ from algorithms.technique import MapParams
 from experiments.commands.markdown import bring_up_to_date, table, with_block
 from experiments.kinds import kind as kinds
 from experiments.kinds.analysis import config as analysis
-from experiments.kinds.analysis import run as analysis_run
 from experiments.kinds.convergence import config as convergence
-from experiments.kinds.convergence import estimates
-from experiments.kinds.convergence import report as convergence_report
-from experiments.kinds.convergence.store import CONVERGENCE_COLUMNS
-from experiments.kinds.savings import run as savings_run
-from experiments.kinds.stability import table as stability_table
-from experiments.kinds.sweep.store import SweepStore
 from experiments.metrics.registry import METRICS
-from experiments.results import published, store
+from experiments.results import store
 from experiments.results.meanings import meaning
-from experiments.results.prediction import PREDICTION_COLUMNS
-from experiments.results.summary import SUMMARY_COLUMNS
 from experiments.scenes import generators, schema
 from experiments.scenes.importing.schema import ImportingSceneFile
 from experiments.schema import models
@@ -217,18 +208,7 @@ def columns_table(name: str, columns: Sequence[str]) -> str:
 
 
 RESULTS: Mapping[str, Sequence[str]] = {
-    **{f"{name}.csv": columns for name, columns in store.TABLES.items()},
-    "summary.csv": SUMMARY_COLUMNS,
-    "prediction.csv": PREDICTION_COLUMNS,
-    "published.csv": published.COLUMNS,
-    "convergence.csv": CONVERGENCE_COLUMNS,
-    "convergence summary.csv": convergence_report.SUMMARY_COLUMNS,
-    "estimates.csv": estimates.COLUMNS,
-    **{f"{name}.csv": columns for name, columns in SweepStore.tables.items() if name != "failures"},
-    "stability.csv": stability_table.COLUMNS,
-    "savings.csv": savings_run.COLUMNS,
-    "analysis.csv": analysis_run.COLUMNS,
-    "factors.csv": analysis_run.FACTORS,
+    name: columns for kind in kinds.names() for name, columns in kinds.find(kind).tables().items()
 }
 
 TABLES: Mapping[str, Callable[[], str]] = {
@@ -237,6 +217,7 @@ TABLES: Mapping[str, Callable[[], str]] = {
     "mesh": lambda: key_table(schema.MeshOptions),
     "primitives": lambda: kinds_table("primitive", schema.PRIMITIVES, schema.MeshOptions),
     "generators": generators_table,
+    "cutout": lambda: key_table(schema.Cutout),
     "transform": lambda: key_table(schema.Transform),
     "motion": lambda: key_table(schema.Motion),
     "motion keyframe": lambda: key_table(schema.MotionKeyframe, without=[schema.Transform]),

@@ -12,6 +12,7 @@ from experiments.commands.markdown import ROOT, bring_up_to_date, table, with_bl
 
 BEGIN = "<!-- techniques: written by `make table` -->"
 END = "<!-- end of techniques -->"
+_OPPOSITE = {"darker": "lighter", "lighter": "darker"}
 
 
 def technique_table(techniques: Mapping[str, type[Technique]]) -> str:
@@ -20,7 +21,10 @@ def technique_table(techniques: Mapping[str, type[Technique]]) -> str:
     for technique in by_family(techniques):
         path = file_of(technique).resolve()
         link = path.relative_to(ROOT).as_posix() if path.is_relative_to(ROOT) else path.name
-        bias = {"darker": "too dark", "lighter": "too light", "none": "either way"}[technique.bias_sign]
+        signs = {"darker": "too dark", "lighter": "too light", "none": "either way"}
+        bias = signs[technique.bias_sign]
+        if technique.bias_turns:
+            bias += f"; {signs[_OPPOSITE[technique.bias_sign]]} where {technique.bias_turns}"
         paper, what = ", ".join(technique.paper), summary(technique).rstrip(".")
         rows.append((f"[`{technique.name}`]({link})", technique.family, what, paper, needs_text(technique), bias))
     return table(("technique", "family", "what it is", "paper", "needs", "error"), rows)

@@ -11,7 +11,7 @@ import numpy as np
 from algorithms.plugins import load_all
 from experiments.api import render_visibility
 from experiments.config.source import parse_yaml
-from experiments.results.images import visibility_view, write_exr, write_png
+from experiments.results.images import check_path, visibility_view, write_exr, write_png
 from experiments.scenes import load_scene
 from experiments.scenes.sight import why_nothing_is_seen
 from wkernels.errors import InputError
@@ -38,6 +38,7 @@ def render_image(
     """Renders and writes ``out``; wrong input is found before anything is rendered."""
     if out.suffix.lower() not in _SUFFIXES:
         raise InputError(f"--out {out}: the name must end in {' or '.join(_SUFFIXES)}.")
+    check_path(out)
     if not out.resolve().parent.is_dir():
         raise InputError(f"--out {out}: there is no folder {out.resolve().parent}.")
     loaded = load_scene(scene)

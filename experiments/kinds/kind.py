@@ -75,6 +75,10 @@ class Kind(ABC):
     def explain(self, experiment: Any, plugins: Mapping[str, Any]) -> str:
         """What ``run`` will do, for people; renders nothing."""
 
+    def tables(self) -> Mapping[str, Sequence[str]]:
+        """Columns of the tables that its result folders hold, by file name; of those of another kind only its own."""
+        return {}
+
     def write_report(self, out: Path) -> Path:
         """Writes the report of a result folder again, from its files alone, and returns its path."""
         raise InputError(f"is of the kind {self.name}, which has no report.", file=out)

@@ -20,6 +20,7 @@ __all__ = [
     "HARD_EDGE",
     "MAP_METRICS",
     "METRICS",
+    "ROUNDING",
     "SCORES",
     "Measured",
     "Metric",
@@ -31,6 +32,8 @@ __all__ = [
     "signed_error",
 ]
 
+ROUNDING = 1e-6
+"""Of the change of a float32 visibility that is carried from frame to frame: less is none."""
 FLIP_PIXELS_PER_DEGREE = 67.02  # a 0.7 m wide 4K screen seen from 0.7 m, the value of the FLIP paper
 
 
@@ -72,7 +75,8 @@ def _reference_standard_error(m: Measured) -> float | None:
 def _flicker(m: Measured) -> float | None:
     if m.previous is None:
         return None
-    return _rms_of_finite(m.visibility - m.previous, np.where(beside_hard_edge(m.visibility), np.nan, m.visibility))
+    change = _rms_of_finite(m.visibility - m.previous, np.where(beside_hard_edge(m.visibility), np.nan, m.visibility))
+    return 0.0 if change is not None and change < ROUNDING else change
 
 
 def _flicker_edges(m: Measured) -> float | None:
@@ -168,7 +172,8 @@ METRICS: Mapping[str, Metric] = {
             "flicker",
             "flicker",
             "Root mean square change of visibility since the frame before, at surface points seen in both and beside a "
-            "hard edge in neither, where what a pixel shows depends on where its centre lies.",
+            "hard edge in neither, where what a pixel shows depends on where its centre lies. In summaries empty where "
+            "that is no change on any frame, as for most hard shadows: flicker_edges has theirs.",
             "visibility",
             _flicker,
             always=False,

@@ -18,6 +18,14 @@ _HEAD = 65536  # bytes of a file that are not pixels, and what incompressible pi
 _ERROR_COLORS = "berlin"  # diverging with a dark middle, so that small errors stand out
 
 
+def check_path(path: Path) -> None:
+    """Raises InputError where a path is bytes that are no UTF-8, by which OpenImageIO cannot open a file."""
+    try:
+        os.fspath(path).encode()
+    except UnicodeEncodeError:
+        raise InputError("cannot be written: the path is not UTF-8, which image files need.", file=path) from None
+
+
 def write_exr(path: Path, image: np.ndarray, note: str = "") -> None:
     """Writes float32 (H, W) losslessly, NaN included, as channel Y; the file appears whole or not at all."""
     _write(path, image.astype(np.float32)[:, :, None], "float", {"compression": "zip", "ImageDescription": note})

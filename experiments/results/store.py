@@ -18,6 +18,7 @@ from typing import Any, Literal, Self
 
 from experiments.config.source import load_yaml
 from experiments.metrics.registry import MAP_METRICS, METRICS, SCORES
+from experiments.results.images import check_path
 from experiments.results.result_tables import FAILURE_COLUMNS, RECORD, ResultTables, cannot_write
 from experiments.results.tables import Row, table_text, write_text
 from wkernels.errors import InputError
@@ -87,10 +88,11 @@ class Store(ResultTables):
             resume: Continue: keep complete rows. Without earlier rows this is a fresh start.
 
         Raises:
-            InputError: The folder cannot be written, holds something else or results of another run, or another run is
-                writing there.
+            InputError: The folder cannot be written, is not named in UTF-8, holds something else or results of another
+                run, or another run is writing there.
         """
         store = cls(Path(out))
+        check_path(store.out)
         try:
             store._prepare(config, environment, resume)
         except OSError as error:

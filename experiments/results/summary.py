@@ -86,7 +86,8 @@ def summarise(frames: pd.DataFrame, baseline: str) -> pd.DataFrame:
         row: dict[str, Any] = {"technique": own["technique"].iloc[0], "label": label, "frames": len(own)}
         row["reference_frames"] = int(own["rmse"].notna().sum())
         for name in SUMMARISED:
-            row[f"{name}_q1"], row[name], row[f"{name}_q3"] = _quartiles(own[name])
+            values = _without_flicker_beside_edges(own) if name == "flicker" else own[name]
+            row[f"{name}_q1"], row[name], row[f"{name}_q3"] = _quartiles(values)
         ratio = (own["frame_ms"] / base["frame_ms"]).dropna()
         row["frame_ms_ratio_q1"], row["frame_ms_ratio"], row["frame_ms_ratio_q3"] = _quartiles(ratio)
         row["shadow_ms_ratio"] = _quartiles((own["shadow_ms"] / base["shadow_ms"]).replace(np.inf, np.nan))[1]
@@ -103,6 +104,16 @@ def summarise(frames: pd.DataFrame, baseline: str) -> pd.DataFrame:
         [metrics.distinguishable(a - base_rmse, b) for a, b in pairs], dtype=object
     )
     return table
+
+
+def _without_flicker_beside_edges(own: pd.DataFrame) -> pd.Series:
+    """A label's flicker per frame; none of it where nothing changes on any frame but, for all that is known, at edges.
+
+    A zero would rank hard shadows, whose changes all lie beside their edges, before all others.
+    """
+    flicker, with_edges = own["flicker"], own["flicker_edges"].dropna()
+    still = len(with_edges) > 0 and not (with_edges >= metrics.ROUNDING).any()
+    return flicker if still or (flicker >= metrics.ROUNDING).any() else flicker.where(flicker.isna())
 
 
 def _quartiles(values: pd.Series) -> tuple[float, float, float]:

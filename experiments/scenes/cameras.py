@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -19,8 +20,13 @@ from experiments.scenes.sight import depth_planes
 from wkernels.errors import InputError
 from wkernels.scene.model import Camera, Mesh
 from wkernels.scene.origin import looked_at
+from wkernels.scene.views import ALONG_UP
 
 _COLUMNS = ("frame", "eye_x", "eye_y", "eye_z", "target_x", "target_y", "target_z")
+
+
+class CameraWarning(UserWarning):
+    """A picture is not turned as the camera's keys say."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +76,23 @@ def camera_path(
     distance = np.linalg.norm(eyes_targets[:, 3:] - eyes_targets[:, :3], axis=1)
     for frame in np.flatnonzero(~(distance > 0.0))[:1]:
         raise place.at("camera" if path is None else "path").error(f"the eye lies on the target at frame {frame}.")
+    _tell_of_up(camera, eyes_targets, distance, place.at("camera") if path is None else place.at("path"), place)
     near, far = depth_planes(meshes, eye_target(looked_at(frames).astype(np.float64))[:, :3], camera.near, camera.far)
     return CameraPath(eye_target, camera, near, far), frames
+
+
+def _tell_of_up(
+    camera: CameraOptions, eyes_targets: np.ndarray, distance: np.ndarray, way: Place, place: Place
+) -> None:
+    """Tells of frames on which the eye looks along its vertical axis, so that it is another axis that points up."""
+    up = np.asarray(camera.up) / np.linalg.norm(camera.up)
+    forward = (eyes_targets[:, 3:] - eyes_targets[:, :3]) / distance[:, None]
+    along = np.flatnonzero(np.linalg.norm(np.cross(forward, up), axis=1) < ALONG_UP)
+    if len(along):
+        where = place.at("camera", "up") if "up" in camera.model_fields_set else way
+        when = f" at frame {along[0]}" if len(distance) > 1 else ""
+        message = f"the eye looks along camera.up{when}; another axis of the scene is up in the picture."
+        warnings.warn(CameraWarning(str(where.error(message))), stacklevel=4)
 
 
 def check_lens(camera: CameraOptions, place: Place) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +16,10 @@ from wkernels.scene.lights import LIGHT_KINDS, Light
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec. 709 colours (ITU-R BT.709)
 _RELATIVE_TOLERANCE = 1e-6  # of a polygon's extent: how far from planar and convex it may be
+
+
+class LightWarning(UserWarning):
+    """A light is not what its kind promises."""
 
 
 def build_light(place: Place) -> Light:
@@ -50,6 +55,12 @@ def _moving(light: Light, motion: schema.Motion, place: Place) -> Light:
 
 
 def _check_parallelogram(edge_u: np.ndarray, edge_v: np.ndarray, place: Place) -> None:
+    """Raises InputError where the edges are parallel, and tells of one without length: the light has no area then."""
+    zero = [key for key, edge in (("edge_u", edge_u), ("edge_v", edge_v)) if not edge.any()]
+    if zero:
+        what = "a point" if len(zero) == 2 else "a line"
+        keys = " and ".join(zero)
+        warnings.warn(LightWarning(str(place.at(zero[0]).error(f"{keys} zero: the light is {what}."))), stacklevel=4)
     length_u, length_v = np.linalg.norm(edge_u), np.linalg.norm(edge_v)
     area = np.linalg.norm(np.cross(edge_u, edge_v))
     if length_u > 0.0 and length_v > 0.0 and not area > _RELATIVE_TOLERANCE * length_u * length_v:

@@ -123,6 +123,29 @@ def test_it_is_wrong_by_design() -> None:
     assert 0.03 < error["blob_shadows"] < 0.25 and error["blob_shadows"] > 2.0 * error["shadow_map"], error
 
 
+def test_the_sign_is_that_of_the_casters_pieces() -> None:
+    """Too light where a caster in one piece floats, hardly wrong where it rests, too dark with a piece apart."""
+    ground = small.mesh("ground", small.plane(12.0), casts=False)
+
+    def mean_error(*boxes: tuple[tuple[float, ...], tuple[float, ...]]) -> float:
+        shapes, vertices, faces = [small.box(*box) for box in boxes], [], []
+        for corners, triangles in shapes:
+            faces.append(triangles + sum(map(len, vertices)))
+            vertices.append(corners)
+        caster = small.mesh("caster", (np.concatenate(vertices), np.concatenate(faces)), receives=False)
+        scene = small.scene([ground, caster], LIGHTS["directional"])
+        error = [render(scene, name).visibility for name in ("blob_shadows", "ray_cast_point_shadow")]
+        return float(np.nanmean(error[0] - error[1]))
+
+    rests, piece = ((0.0, 0.5, 0.0), (1.0, 1.0, 1.0)), (0.3, 0.3, 0.3)
+    assert mean_error(((0.0, 6.0, 0.0), (2.0, 2.0, 2.0))) > 0.004
+    assert abs(mean_error(rests)) < 0.003
+    apart = [mean_error(rests, ((x, 0.15, 0.0), piece)) for x in (2.0, 5.0, 40.0)]
+    assert -0.005 > apart[0] > apart[1] > apart[2], apart
+    around = [((x, 0.15, z), piece) for x in (-20.0, 20.0) for z in (-20.0, 20.0)]
+    assert mean_error(rests, *around) < -0.4, "all of the picture is under one blob"
+
+
 def test_blobs_follow_what_moves_and_are_kept_else() -> None:
     def pose(frame: int) -> np.ndarray:
         out = np.eye(4)

@@ -32,6 +32,21 @@ def half_plane(lamp: Light, blocker_height: float = 5.0) -> Scene:
     return small.scene([ground, caster], lamp, view)
 
 
+@pytest.mark.parametrize("height", [1.5, 0.4, -0.4, -1.5])
+def test_pcss_knows_only_the_horizon_of_the_lights_centre(height: float) -> None:
+    """Known artefact, without any caster: an upright light of height 4, of which a share is below the ground.
+
+    Too light by that share while the centre is above, and too dark by the rest as soon as it is not.
+    """
+    edges = {"edge_u": np.array([4.0, 0.0, 0.0]), "edge_v": np.array([0.0, 4.0, 0.0])}
+    lamp = RectangleLight(center=np.array([0.0, height, -8.0]), **edges)
+    scene = small.scene([small.mesh("ground", small.plane(8.0))], lamp)
+    error = render(scene, "pcss").visibility - render(scene, "reference_multisample", samples=256).visibility
+    above = (2.0 + height) / 4.0
+    expected = 1.0 - above if height > 0.0 else -above
+    np.testing.assert_allclose(error[np.isfinite(error)], expected, atol=0.02)
+
+
 def share_below(lamp: Light, limit: np.ndarray) -> np.ndarray:
     """Share of the light with x below ``limit``, for lights centred on x = 0 (closed form of the projected shape)."""
     if isinstance(lamp, (DiscLight, SphereLight)):

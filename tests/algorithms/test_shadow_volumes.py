@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,13 @@ import trimesh
 from compare import assert_same_image, edge_band
 from sessions import open_session, render, render_frames, technique, true_visibility
 
+from experiments import render_visibility
+from experiments.scenes import analytic
 from wkernels.casters.volume_counts import Uncounted
 from wkernels.scene.model import Camera, Mesh, Scene
 from wkernels.workspace.products import Product
 
+SCENES = Path(__file__).parents[2] / "configs" / "scenes"
 SIZE = (320, 240)
 EDGE_PIXELS = 0.002  # share of receiver pixels that may differ: corners are drawn on a grid of 1/256 pixel
 KINDS = ("point", "directional", "rectangle", "disc", "sphere", "linear", "polygon")
@@ -200,6 +204,20 @@ def test_the_light_may_be_anywhere(place: str, device: str) -> None:
             assert set(np.unique(image[np.isfinite(expected)])) <= {0.0, 1.0}
         else:
             assert_same_image(image, expected, flips=EDGE_PIXELS, biased=True)
+
+
+@pytest.mark.parametrize("how", VOLUMES)
+def test_shadow_of_a_box_under_the_sun(how: str) -> None:
+    """A8, in closed form: h / tan e long, to the grid of 1/256 pixel that corners are drawn on."""
+    name, params = VOLUMES[how]
+    result = render_visibility(SCENES / "a8_box.yaml", name, params, width=320, height=240)
+    seen = np.isfinite(result.visibility)
+    position, lit = result.world_position[seen].astype(float), result.visibility[seen]
+    assert (lit == 0.0).mean() > 0.05
+    assert np.mean(lit != analytic.a8_box(position)) <= EDGE_PIXELS
+    strip = (np.abs(position[:, 2]) < 0.9) & (position[:, 0] > 0.5)
+    end = 0.5 + analytic.a8_shadow_length()
+    assert abs(position[strip & (lit == 0.0), 0].max() - end) < 0.02
 
 
 @pytest.mark.parametrize("how", ["zpass", "zfail, per caster"])

@@ -8,6 +8,7 @@ import numpy as np
 import small_scenes
 from compare import assert_same_image, rmse
 from rig import (
+    a_piece_apart,
     behind_two_casters,
     check,
     kinds_of,
@@ -25,7 +26,9 @@ from rig import (
 
 from algorithms.plugins import find
 from algorithms.technique import Technique
+from experiments.schema.needs import unmet_need
 from wkernels.frame.session import FrameResult
+from wkernels.scene.cutouts import Mask
 from wkernels.scene.geometry import RECEIVES
 from wkernels.scene.lights import Light
 from wkernels.scene.model import Camera, Scene
@@ -189,6 +192,33 @@ def every_light_kind_casts_its_shadow(technique: type[Technique], device: str) -
             assert np.corrcoef(visibility[np.isfinite(expected)], expected[np.isfinite(expected)])[0, 1] > 0.8, kind
 
 
+def checkered_card(light: Light, cut_by_texture: bool) -> Scene:
+    """Half of a card above the ground, two of four squares: cut out by a texture, or as two squares."""
+    ground = small_scenes.mesh("ground", small_scenes.plane(12.0), casts=False)
+    vertices, faces = small_scenes.plane(3.0, y=2.0, cells=2)
+    if not cut_by_texture:
+        kept = np.isin(np.arange(len(faces)) % 4, (0, 3))  # of the grid's squares, row by row, twice
+        used = np.unique(faces[kept])
+        card = small_scenes.mesh("card", (vertices[used], np.searchsorted(used, faces[kept]).astype(np.int32)))
+        return small_scenes.scene([ground, card], light)
+    whole = small_scenes.plane(3.0, y=2.0)
+    mask = Mask(whole[0][:, [0, 2]] / 3.0 + 0.5, np.eye(2), 0.5, ("clamp", "clamp"), nearest=True)
+    return small_scenes.scene([ground, small_scenes.mesh("card", whole, mask=mask)], light)
+
+
+@check()
+def a_cut_out_caster_shades_by_what_is_left_of_it(technique: type[Technique], device: str) -> None:
+    """A card that is cut out casts and receives as the squares that are left; who cannot do so refuses it."""
+    cut, squares = (checkered_card(lamp(technique), by_texture) for by_texture in (True, False))
+    if technique.needs.whole_casters or technique.needs.closed_meshes:
+        assert unmet_need(technique, cut, cut.lights[0]) is not None, "is not refused beforehand"
+        return
+    frames = frames_of(technique)
+    a, b = (render(technique, scene, device, size=(96, 72), frames=frames).visibility for scene in (cut, squares))
+    differs = ~np.isclose(a, b, atol=2e-3, equal_nan=True)
+    assert differs.mean() <= 0.006, f"{differs.mean():.4f} of the pixels differ from those of two squares"
+
+
 @check(lambda technique: bool(technique.limits))
 def equals_others_in_its_limits(technique: type[Technique], device: str) -> None:
     for limit in technique.limits:
@@ -212,17 +242,21 @@ def bias_sign_is_as_declared(technique: type[Technique], device: str) -> None:
 
     A tenth of the root mean square error counts as none. ``none`` says that there is no more in either scene (of others
     it says nothing); ``lighter`` that there is more in one of them and no darkness in the other, ``darker`` vice versa.
+    Where ``bias_turns`` is declared, the opposite of the sign is to be seen where a caster has a piece apart.
     """
     kind = kinds_of(technique)[0]
     params, frames = small_params(technique, resolution=1024, samples=64), 32 if technique.needs.history else 1
     excess, text = [], f"declared '{technique.bias_sign}'"
-    for build in (overlapping_boxes, behind_two_casters):
+    for build in (overlapping_boxes, behind_two_casters, *([a_piece_apart] if technique.bias_turns else [])):
         scene = build(small_scenes.light(kind, size=2.0))
         error = render(technique, scene, device, params=params, frames=frames).visibility
         error = error - truth(technique, build, device, kind, size=2.0)
         mean, slack = float(np.nanmean(error)), 0.001 + 0.1 * float(np.sqrt(np.nanmean(error**2)))
         excess.append(mean / slack)
         text += f", {build.__name__}: mean error {mean:+.4f}, slack {slack:.4f}"
+    if technique.bias_turns:
+        turned = excess.pop() * (-1.0 if technique.bias_sign == "lighter" else 1.0)
+        assert turned > 1.0, f"{text}: where {technique.bias_turns}, the sign does not turn"
     wrong_way, right_way = {
         "none": (max(map(abs, excess)), np.inf),
         "lighter": (-min(excess), max(excess)),

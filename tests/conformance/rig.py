@@ -204,6 +204,14 @@ def overlapping_boxes(light: Light) -> Scene:
     )
 
 
+def a_piece_apart(light: Light) -> Scene:
+    """One caster of two boxes, the second small and far from the first."""
+    first, second = (small_scenes.box(*box) for box in (((0.0, 1.0, 0.0), (1.5,) * 3), ((4.0, 0.5, 3.0), (0.3,) * 3)))
+    both = np.concatenate([first[0], second[0]]), np.concatenate([first[1], second[1] + len(first[0])])
+    ground = small_scenes.mesh("ground", small_scenes.plane(12.0), casts=False)
+    return small_scenes.scene([ground, small_scenes.mesh("pair", both, receives=False)], light)
+
+
 def behind_two_casters(light: Light) -> Scene:
     """Slats high over a wide plate, and an eye below it: the ground is in the umbra of the one and of both.
 

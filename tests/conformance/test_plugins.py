@@ -97,6 +97,11 @@ BAD: dict[str, tuple[str, str, str | None]] = {
         "`bias_sign` is 'darker', 'lighter' or 'none', not 'bright'",
         "class BadSign",
     ),
+    "no_turn": (
+        good("no_turn").replace('bias_sign = "none"', 'bias_sign = "none"\n    bias_turns = "it rains"'),
+        "`bias_turns` says where `bias_sign` is the opposite one",
+        "class NoTurn",
+    ),
     "bad_family": (
         good("bad_family").replace('"hard"', '"filterin"'),
         "unknown family 'filterin'.*Did you mean 'filtering'",

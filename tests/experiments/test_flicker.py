@@ -6,6 +6,7 @@ import functools
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 import small_scenes
 
@@ -13,6 +14,8 @@ from algorithms.plugins import load_all
 from algorithms.projections.composition import compose
 from experiments.metrics.carry_over import carry_over
 from experiments.metrics.registry import Measured, beside_hard_edge, evaluate
+from experiments.results.store import FRAME_COLUMNS
+from experiments.results.summary import summarise
 from wkernels.frame.session import Session
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.lights import DirectionalLight
@@ -79,7 +82,7 @@ def test_stabilisers_reduce_flicker_by_five_at_equal_splits(splits: int, stabili
 
 
 def test_flicker_grows_with_the_texels(device: str) -> None:
-    coarse, fine = flicker("shadow_map", device), flicker("shadow_map", device, resolution=512)
+    coarse, fine = flicker("shadow_map", device), flicker("shadow_map", device, resolution=256)
     assert coarse > 3.0 * fine > 3.0 * flicker(RAYS, device)
 
 
@@ -115,3 +118,35 @@ def test_flicker_with_edges_counts_a_hard_edge_that_moves_and_flicker_does_not()
     measured = Measured(moved, previous=np.where(beside_hard_edge(image), np.nan, image), previous_across_edges=image)
     scores = evaluate(frozenset({"flicker", "flicker_edges"}), measured)
     assert scores["flicker"] == 0.0 and scores["flicker_edges"] == pytest.approx(0.1)
+
+
+def test_rounding_is_no_flicker() -> None:
+    image = np.full((8, 8), 0.5, np.float32)
+    for change, expected in ((1e-17, 0.0), (1e-7, 0.0), (1e-3, 1e-3)):
+        score = evaluate(frozenset({"flicker"}), Measured(image, previous=image.astype(float) + change))["flicker"]
+        assert score == pytest.approx(expected, rel=1e-3, abs=0.0)
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("flicker", "edges", "median"),
+    [
+        ([NAN, 0.0, 0.0], [NAN, 0.1, 0.2], NAN),  # hard shadows of a moving eye
+        ([NAN, 0.0, 0.0], [NAN, NAN, NAN], NAN),  # nothing is known of their edges
+        ([NAN, 0.0, 0.0], [NAN, 0.0, 0.0], 0.0),  # nothing moves
+        ([NAN, 0.0, 0.3], [NAN, 0.1, 0.4], 0.15),  # an edge jumped on one frame: the others count
+        ([NAN, 0.01, 0.03], [NAN, 0.02, 0.03], 0.02),
+        ([NAN, NAN, NAN], [NAN, NAN, NAN], NAN),
+    ],
+)
+def test_summaries_leave_flicker_empty_where_all_change_is_beside_edges(
+    flicker: list[float], edges: list[float], median: float
+) -> None:
+    frames = pd.DataFrame(np.nan, index=range(3), columns=list(FRAME_COLUMNS))
+    frames = frames.assign(label="a", technique="t", frame=range(3), frame_ms=1.0, shadow_ms=1.0)
+    frames = frames.assign(flicker=flicker, flicker_edges=edges)
+    row = summarise(frames, "a").iloc[0]
+    np.testing.assert_equal(row["flicker"], median)
+    assert np.isnan(row["flicker_q3"]) == np.isnan(median)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from test_cli import Run, wkernels  # noqa: F401 - a fixture
 
 from experiments import kinds
+from experiments.commands import formats
 from experiments.kinds.kind import find, kind_of_file, kind_of_folder, names
 
 NEW = '''
@@ -67,6 +69,14 @@ def test_what_there_is() -> None:
     assert names() == sorted(names()) and {"walkthrough", "sweep", "analysis"} <= set(names())
 
 
+def test_every_kinds_tables_are_on_the_page_of_formats() -> None:
+    """Each once: file names tell them apart there."""
+    declared = [table for name in names() for table in find(name).tables().items()]
+    assert dict(declared) == formats.RESULTS and len(declared) == len(formats.RESULTS)
+    assert {"frames.csv", "savings.csv", "estimates.csv", "pareto.csv"} <= set(formats.RESULTS)
+    assert all(find(name).tables() for name in names())
+
+
 def test_files_and_folders_that_name_no_kind_are_walkthroughs(tmp_path: Path) -> None:
     (tmp_path / "odd.yaml").write_text("kind: [sweep]\n")
     (tmp_path / "sweep.yaml").write_text("kind: sweep\n")
@@ -77,12 +87,17 @@ def test_files_and_folders_that_name_no_kind_are_walkthroughs(tmp_path: Path) ->
 
 
 @pytest.fixture
-def count(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+def count(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The new kind, in a folder beside ours."""
     folder = tmp_path_factory.mktemp("kinds")
     (folder / "count").mkdir()
     (folder / "count" / "kind.py").write_text(NEW)
     monkeypatch.setattr(kinds, "__path__", [*kinds.__path__, str(folder)])
+    yield
+    for name in [name for name in sys.modules if name.partition("experiments.kinds.count")[1]]:
+        del sys.modules[name]
+    if hasattr(kinds, "count"):
+        del kinds.count
 
 
 def test_a_new_folder_is_a_new_kind(count: None, wkernels: Callable[..., tuple[int, str, str]]) -> None:

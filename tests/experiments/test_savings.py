@@ -172,6 +172,7 @@ def test_a_scene_without_techniques_is_refused(tmp_path: Path) -> None:
         (("bare", "no_such"), "no scene file"),
         (("multi_shadow_map", "no_such"), "no technique 'no_such'"),
         (("repeats: 1", "repeats: 0"), "repeats"),
+        (("bare.yaml", "other/moving_blocker.yaml"), r":3: scenes\.1: has the name 'moving_blocker', as scenes\.0 has"),
     ],
 )
 def test_wrong_files_are_refused(change: tuple[str, str], message: str, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 from test_importing_gltf import same_visibility
 
 from experiments.scenes import load_scene
+from experiments.scenes.files import MeshWarning
 from wkernels.errors import InputError
 
 pytest.importorskip("pxr")
@@ -231,6 +232,18 @@ def test_skeletons(tmp_path: Path) -> None:
     np.testing.assert_allclose(scene.meshes[0].vertices_at(0), [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
     np.testing.assert_allclose(scene.meshes[0].vertices_at(2), [[0, 0, 0], [1, 0, 0], [2, 1, 0]])
     assert (tmp_path / "skin.usda").read_bytes() == before  # the file itself is not written to
+
+
+def test_a_mesh_file_tells_that_its_skeletons_are_not_applied(tmp_path: Path) -> None:
+    skinned_stage(tmp_path / "skin.usda")
+    scene = {
+        "meshes": [{"file": str(tmp_path / "skin.usda")}],
+        "camera": {"eye": [0, 5, 9], "target": [0, 0, 0]},
+        "lights": [{"kind": "point", "position": [0, 4, 6]}],
+    }
+    with pytest.warns(MeshWarning, match="skeletons are not applied: 1 mesh is drawn at rest"):
+        loaded = load_scene(scene)
+    np.testing.assert_allclose(loaded.meshes[0].vertices, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import pytest
 import trimesh
 
 from experiments.scenes import load_scene
+from experiments.scenes.lights import LightWarning
 from wkernels.errors import InputError
 from wkernels.scene.lights import LIGHT_KINDS
 
@@ -146,7 +147,8 @@ def test_all_light_kinds_load():
 
 def test_zero_edges_make_a_rectangle_without_area():
     light = {**LIGHT, "edge_u": [0, 0, 0], "edge_v": [0, 0, 0]}
-    assert not load_scene({"meshes": [], "lights": [light], "camera": CAMERA}).lights[0].has_area
+    with pytest.warns(LightWarning, match="the light is a point"):
+        assert not load_scene({"meshes": [], "lights": [light], "camera": CAMERA}).lights[0].has_area
 
 
 def test_texture_becomes_linear_luminance_with_row_0_on_top(tmp_path: Path):

@@ -24,7 +24,8 @@ from wkernels.workspace.workspace import Workspace
 
 
 def pull_edges(work: Workspace, geometry: Geometry) -> Adjacency:
-    """``caster_edges``, built once."""
+    """``caster_edges``, built once; raises InputError where a caster is cut out by a texture."""
+    geometry.require_whole("silhouettes and shadow volumes")
     out: Adjacency = work.product(Product.CASTER_EDGES, "caster edges", geometry, lambda old: caster_edges(geometry))
     return out
 

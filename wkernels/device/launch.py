@@ -11,6 +11,7 @@ import math
 import os
 import time
 from collections.abc import Sequence
+from typing import SupportsIndex
 
 import warp as wp
 
@@ -68,7 +69,7 @@ def launch(
         threads: CPU threads, at least 1; ``default_threads()`` if not given. The result does not depend on it.
         tile: Cells of the first axis per tile; chosen from the grid and the threads if not given.
     """
-    shape = (dim,) if isinstance(dim, int) else tuple(dim)
+    shape = (int(dim),) if isinstance(dim, SupportsIndex) else tuple(dim)  # NumPy's numbers are no int
     if isinstance(kernel, Twin):
         _launch_twin(kernel, shape, inputs, outputs, device, threads, tile)
         return

@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 
 from wkernels.device.launch import launch
+from wkernels.scene.cutouts import Cutouts, no_cutouts
 
 WIDTH = wp.constant(8)
 Eight = wp.types.vector(length=WIDTH, dtype=wp.float32)
@@ -37,6 +38,9 @@ class CasterTree:
     level_begin: wp.array(dtype=int)
     level_size: wp.array(dtype=int)
     levels: int  # 0 where there is no triangle
+    order: wp.array(dtype=int)  # triangle of each slot of the leaves
+    indices: wp.array(dtype=int)  # vertices of triangles
+    cutouts: Cutouts
 
 
 @wp.kernel
@@ -168,6 +172,7 @@ class CasterTreeBuilder:
         triangles: How many of their triangles count, from the first on.
         device: Warp device.
         threads: CPU threads; None for all. The tree does not depend on it.
+        cutouts: Where triangles are not there; everywhere they are unless given.
     """
 
     def __init__(
@@ -177,6 +182,7 @@ class CasterTreeBuilder:
         triangles: int,
         device: str = "cpu",
         threads: int | None = None,
+        cutouts: Cutouts | None = None,
     ) -> None:
         self._points, self._indices, self._device, self._threads = points_ws, indices, device, threads
         self._triangles = triangles
@@ -195,6 +201,7 @@ class CasterTreeBuilder:
         tree.level_begin = wp.array(np.array([*begins, 0], dtype=np.int32), dtype=int, device=device)
         tree.level_size = wp.array(np.array([*sizes, 0], dtype=np.int32), dtype=int, device=device)
         tree.levels = len(sizes)
+        tree.order, tree.indices, tree.cutouts = self._order, indices, cutouts or no_cutouts(device)
         self.refit()
 
     def refit(self) -> None:

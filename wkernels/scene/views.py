@@ -13,6 +13,9 @@ from typing import Literal
 import numpy as np
 import warp as wp
 
+ALONG_UP = 1e-6
+"""Sine of the angle between view direction and vertical axis under which another axis is taken for up."""
+
 
 @wp.struct
 class View:
@@ -158,7 +161,7 @@ def eye_view(camera, width: int, height: int, origin_ws: np.ndarray, margin: tup
     forward = np.asarray(camera.target, float) - np.asarray(camera.eye, float)
     forward /= np.linalg.norm(forward)
     up = np.asarray(camera.up, float)
-    if np.linalg.norm(np.cross(forward, up)) < 1e-6 * np.linalg.norm(up):  # looking straight along up
+    if np.linalg.norm(np.cross(forward, up)) < ALONG_UP * np.linalg.norm(up):  # looking straight along up
         up = np.eye(3)[np.argmin(np.abs(forward))]
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)

@@ -28,6 +28,11 @@ class AnalysisKind(Kind):
         published = published_text(read_published(out))
         return (f"{published}\n\n" if published else "") + f"Table: {table}"
 
+    def tables(self) -> Mapping[str, Sequence[str]]:
+        from experiments.kinds.analysis import run
+
+        return {"analysis.csv": run.COLUMNS, "factors.csv": run.FACTORS}
+
     def explain(self, experiment: Any, plugins: Mapping[str, Any]) -> str:
         from experiments.kinds.analysis.explain import explain_analysis
 

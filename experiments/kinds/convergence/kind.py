@@ -29,6 +29,16 @@ class ConvergenceKind(Kind):
         run_convergence(experiment, out, plugins=plugins, progress=progress, **options)
         return f"Report: {out / 'report.html'}"
 
+    def tables(self) -> Mapping[str, Sequence[str]]:
+        from experiments.kinds.convergence import estimates, report
+        from experiments.kinds.convergence.store import CONVERGENCE_COLUMNS
+
+        return {
+            "convergence.csv": CONVERGENCE_COLUMNS,
+            "convergence summary.csv": report.SUMMARY_COLUMNS,
+            "estimates.csv": estimates.COLUMNS,
+        }
+
     def explain(self, experiment: Any, plugins: Mapping[str, Any]) -> str:
         if isinstance(experiment, Estimates):
             return f"Experiment {experiment.name} (convergence): estimates from {len(experiment.tests)} shadow tests"

@@ -76,7 +76,8 @@ def load_savings(path: str | Path, overrides: Iterable[str], plugins: Mapping[st
     """Reads, checks and resolves an experiment file of this kind.
 
     Raises:
-        InputError: Something in the file, the overrides or a scene is wrong, or no technique can work in a scene.
+        InputError: Something in the file, the overrides or a scene is wrong, two scenes have one name, or no technique
+            can work in a scene.
     """
     path = Path(path)
     source = apply_overrides(load_yaml(path), overrides)
@@ -86,12 +87,22 @@ def load_savings(path: str | Path, overrides: Iterable[str], plugins: Mapping[st
     runs = expand_techniques(source, plugins, file.projection)
     unmet: dict[tuple[str, str], str] = {}
     frames = file.frames.indices() if isinstance(file.frames, FrameRange) else tuple(range(file.frames))
+    _check_names(source, file.scenes)
     experiments = tuple(_of_scene(source, file, path, i, runs, plugins, frames, unmet) for i in range(len(file.scenes)))
     written = file.model_dump(by_alias=True, exclude_none=True) | {
         "scenes": [str(experiment.scene) for experiment in experiments],
         "techniques": [run.entry() for run in runs],
     }
     return Savings(path.stem, experiments, unmet, file.still, to_jsonable_python(written))
+
+
+def _check_names(source: Source, scenes: list[str]) -> None:
+    """Raises InputError where two scenes have one name, by which rows are told apart and an earlier run's are kept."""
+    first: dict[str, int] = {}
+    for i, scene in enumerate(scenes):
+        stem = Path(scene).stem
+        if (earlier := first.setdefault(stem, i)) != i:
+            raise source.error(f"has the name '{stem}', as scenes.{earlier} has.", ("scenes", i))
 
 
 def _of_scene(

@@ -27,6 +27,11 @@ class SavingsKind(Kind):
         table = run_savings(experiment, out, plugins, progress=progress, **options)
         return f"{savings_text(read_table(table))}\nTable: {table}\nReport: {write_savings_report(out)}"
 
+    def tables(self) -> Mapping[str, Sequence[str]]:
+        from experiments.kinds.savings import run
+
+        return {"savings.csv": run.COLUMNS}
+
     def explain(self, experiment: Any, plugins: Mapping[str, Any]) -> str:
         from experiments.kinds.savings.explain import explain_savings
 

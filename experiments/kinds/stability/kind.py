@@ -26,6 +26,11 @@ class StabilityKind(Kind):
         table = run_stability(experiment, out, plugins, progress=progress, **options)
         return f"{summary_text(read_table(table))}\nTable: {table}\nReport: {out / 'report.html'}"
 
+    def tables(self) -> Mapping[str, Sequence[str]]:
+        from experiments.kinds.stability import table
+
+        return {"stability.csv": table.COLUMNS}
+
     def explain(self, experiment: Any, plugins: Mapping[str, Any]) -> str:
         from experiments.kinds.stability.explain import explain_stability
 

@@ -30,6 +30,11 @@ class SweepKind(Kind):
         advice = [f"{row['scene']}: {row['reason']}" for row in read_table(out / "recommendation.csv")]
         return "\n".join([*advice, f"Report: {out / 'report.html'}"])
 
+    def tables(self) -> Mapping[str, Sequence[str]]:
+        from experiments.kinds.sweep.store import SweepStore
+
+        return {f"{name}.csv": columns for name, columns in SweepStore.tables.items() if name != "failures"}
+
     def explain(self, experiment: Any, plugins: Mapping[str, Any]) -> str:
         from experiments.kinds.sweep.explain import explain_sweep
 

@@ -27,6 +27,18 @@ class WalkthroughKind(Kind):
         published = published_text(read_published(out))
         return (f"{published}\n\n" if published else "") + f"Report: {out / 'report.html'}"
 
+    def tables(self) -> Mapping[str, Sequence[str]]:
+        from experiments.results import published, store
+        from experiments.results.prediction import PREDICTION_COLUMNS
+        from experiments.results.summary import SUMMARY_COLUMNS
+
+        return {
+            **{f"{name}.csv": columns for name, columns in store.TABLES.items()},
+            "summary.csv": SUMMARY_COLUMNS,
+            "prediction.csv": PREDICTION_COLUMNS,
+            "published.csv": published.COLUMNS,
+        }
+
     def explain(self, experiment: Any, plugins: Mapping[str, Any]) -> str:
         from experiments.kinds.walkthrough.explain import explain
 

@@ -80,6 +80,9 @@ def _read(stage: Any, tell: Tell) -> Triangles:
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     if UsdGeom.StageHasAuthoredMetersPerUnit(stage) and unit != 1.0:
         tell(f"its unit is {unit:g} m; lengths are not scaled.")
+    if skinned := sum(_is_skinned(prim) for prim in stage.Traverse()):
+        what = "mesh is" if skinned == 1 else "meshes are"
+        tell(f"its skeletons are not applied: {skinned} {what} drawn at rest; import: moves them.")
     if any(_varies(prim) for prim in stage.Traverse()):
         tell("it is animated; it is drawn as at its first time sample.")
     return parts.triangles()
@@ -152,6 +155,17 @@ def _instances(instancer: Any, time: Any) -> Iterator[tuple[Any, np.ndarray]]:
 
 def _world(imageable: Any, time: Any) -> np.ndarray:
     return np.array(imageable.ComputeLocalToWorldTransform(time)).T  # USD multiplies row vectors from the left
+
+
+def _is_skinned(prim: Any) -> bool:
+    """Whether a skeleton or blend shapes would move a prim's points."""
+    from pxr import UsdGeom, UsdSkel
+
+    if not prim.IsA(UsdGeom.Mesh):
+        return False
+    binding = UsdSkel.BindingAPI(prim)
+    joints = binding.GetJointIndicesPrimvar()
+    return bool((joints and joints.HasAuthoredValue()) or binding.GetBlendShapeTargetsRel().HasAuthoredTargets())
 
 
 def _varies(prim: Any) -> bool:
