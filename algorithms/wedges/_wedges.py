@@ -48,7 +48,7 @@ class SummedParams(WedgeParams):
     )
     buffer: Literal["f32", "split12", "lut10", "bits6of8"] = setting(
         "f32",
-        "what shares are summed in: float32; 12 bits over four 8-bit channels; of these the 1024 of a table; 6 of 8 bits",
+        "what shares are summed in: float32; 12 bits over four 8-bit channels; 1024 values of these; 6 of 8 bits",
         unit="kind",
         source="Assarsson 2003, sec. 4.3: split12",
     )

@@ -1,7 +1,7 @@
 """Penumbra wedges over a light in cells, so that penumbrae that overlap are blended (Forest, Barthe and Paulin 2006).
 
-As ``wedge_spherical`` and ``wedge_rectangular`` up to the sum. There is none: the light is cut into 8 x 8 cells, and the
-faces before each cell's middle are counted. What two casters hide both is hidden once.
+As ``wedge_spherical`` and ``wedge_rectangular`` up to the sum. There is none: the light is cut into 8 x 8 cells, and
+the faces before each cell's middle are counted. What two casters hide both is hidden once.
 
 Deviations: of the paper the abstract was at hand; cells and counts are this project's specification of "computes the
 light's occluded regions, detects overlapping penumbrae and blends them" (after Schwaerzler 2009, section 4.12).
@@ -23,7 +23,7 @@ class WedgeBlendingFbp06(WedgeTechnique):
 
     name = "wedge_blending_fbp06"
     paper = ("forest2006", "schwaerzler2009")
-    needs = Needs(lights=frozenset({"rectangle", "sphere", "disc", "directional", "point"}))
+    needs = Needs(whole_casters=True, lights=frozenset({"rectangle", "sphere", "disc", "directional", "point"}))
     bias_sign = "none"
     Params = WedgeParams
 

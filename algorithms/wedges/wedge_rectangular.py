@@ -5,8 +5,8 @@ from the pixel, edges are clipped to its four sides before they are divided, and
 centre is half the way between them along the border. No arc tangent is needed.
 
 ``wedge``: ``tight`` wedges are pyramids, which the rectangle's corners mirrored at the edge's ends make;
-``sphere_bounded`` ones enclose its bounding sphere instead, as in the authors' earlier work. ``light_split: n`` cuts the
-light into n x n, each with silhouettes of its own, and takes the mean of what they show.
+``sphere_bounded`` ones enclose its bounding sphere instead, as in the authors' earlier work. ``light_split: n`` cuts
+the light into n x n, each with silhouettes of its own, and takes the mean of what they show.
 
 Deviations: as ``wedge_spherical``.
 Known artefacts: as there. A light that is cut finely enough has neither of the last two;
@@ -31,7 +31,7 @@ class WedgeRectangular(WedgeTechnique):
 
     name = "wedge_rectangular"
     paper = ("assarsson2003", "schwaerzler2009")
-    needs = Needs(lights=frozenset({"rectangle", "point"}))
+    needs = Needs(whole_casters=True, lights=frozenset({"rectangle", "point"}))
     bias_sign = "none"
 
     class Params(SummedParams):

@@ -1,13 +1,13 @@
 """Penumbra wedges of rectangles with a texture (Assarsson et al. 2003, sections 4.2.2 and 6).
 
-As ``wedge_rectangular``, but that the share beyond an edge is that of the texture's light: ``coverage: exact`` integrates
-it, constant in each texel, over the region beyond the edge; ``table`` reads the published four-dimensional table of 32
-steps for each coordinate of both ends, 1 MB, and is off by what ends move within a step.
+As ``wedge_rectangular``, but that the share beyond an edge is that of the texture's light: ``coverage: exact``
+integrates it, constant in each texel, over the region beyond the edge; ``table`` reads the published four-dimensional
+table of 32 steps for each coordinate of both ends, 1 MB, and is off by what ends move within a step.
 
 Where the texture is constant, the analytic share is the same and is taken.
 
-Deviations: as ``wedge_spherical``. Textures are luminance, as everywhere here, so that one table does.
-Known artefacts: as there. A surface that the light's plane cuts is shaded by the area before it, not by that area's light.
+Deviations: as ``wedge_spherical``. Textures are luminance, as everywhere here, so that one table does. Known
+artefacts: as there. A surface that the light's plane cuts is shaded by the area before it, not by that area's light.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ from typing import Literal
 import numpy as np
 import warp as wp
 
-from algorithms.technique import Frame, Needs, setting
+from algorithms.technique import Needs, setting
 from algorithms.wedges._wedges import WedgeParams, WedgeTechnique, see_parts
 from wkernels.scene.lights import Light, RectangleLight
 from wkernels.wedges.passes import Prepared, Stage, see_by_wedges, see_textured
 from wkernels.wedges.textures import LightTexture, light_texture
+from wkernels.workspace.workspace import Workspace
 
 
 class WedgeTextured(WedgeTechnique):
@@ -29,7 +30,7 @@ class WedgeTextured(WedgeTechnique):
 
     name = "wedge_textured"
     paper = ("assarsson2003",)
-    needs = Needs(lights=frozenset({"rectangle", "point"}))
+    needs = Needs(whole_casters=True, lights=frozenset({"rectangle", "point"}))
     bias_sign = "none"
 
     class Params(WedgeParams):
@@ -53,7 +54,7 @@ class WedgeTextured(WedgeTechnique):
         see_parts(stage, light, 1, see, visibility_out)
 
 
-def _pull_texture(work: Frame, values: np.ndarray, stored: bool) -> LightTexture:
+def _pull_texture(work: Workspace, values: np.ndarray, stored: bool) -> LightTexture:
     key = (values.shape, values.tobytes(), stored)
     out: LightTexture = work.product(
         "light texture", "light texture", key, lambda old: light_texture(work, values, stored)

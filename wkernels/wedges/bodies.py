@@ -75,7 +75,7 @@ def corners_each(wedges: Wedges) -> int:
 
 
 def bodies_of(ends_ws: np.ndarray, light: HostShape, rule: WedgeRule) -> np.ndarray:
-    """Corners of the bodies of edges (n, 2, 3), homogeneous (n, k, 4): both ends, then directions away from the light."""
+    """Corners of the bodies of edges (n, 2, 3), homogeneous (n, k, 4): both ends, then ways away from the light."""
     if rule == "sphere_bounded" and light.kind != SUN:
         away = ends_ws - light.centre_ws
         far = np.linalg.norm(away, axis=2, keepdims=True)

@@ -2,12 +2,14 @@
 
 The penumbrae of two casters that hide the same part of a light take it away twice when shares are summed. So the light
 is cut into cells, and the faces before each are counted on their own: those before the light's centre, less one for
-every edge that the way from the centre to the cell's middle crosses outwards. A cell is dark where there is any, and the
-light that is left is the share of cells that are not (after Forest, Barthe and Paulin 2006, of whose paper the abstract
-alone was at hand: cells and counts are our own).
+every edge that the way from the centre to the cell's middle crosses outwards. A cell is dark where there is any, and
+the light that is left is the share of cells that are not (after Forest, Barthe and Paulin 2006, of whose paper the
+abstract alone was at hand: cells and counts are our own).
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import warp as wp
 
@@ -27,7 +29,7 @@ Cells = wp.types.vector(length=CELLS, dtype=wp.float32)
 
 
 @wp.func
-def subtract_edge(cells: Cells, ends: wp.vec4, weight: float):
+def subtract_edge(cells: Any, ends: wp.vec4, weight: float):
     """Faces before each cell, less ``weight`` where the way from the centre to it crosses an edge.
 
     Args:
@@ -52,7 +54,7 @@ def subtract_edge(cells: Cells, ends: wp.vec4, weight: float):
 
 
 @wp.func
-def lit_cells(shape: int, cells: Cells):
+def lit_cells(shape: int, cells: Any):
     """Share of a light's cells that no face is before; those in the corners are no part of a disc."""
     lit = float(0.0)
     whole = float(0.0)

@@ -2,10 +2,10 @@
 
 A point q of the light is hidden from a receiver p by n(q) faces. Going from the light's centre c to q, n changes where
 the way crosses an edge of the silhouette, as seen from p: one less where it leaves a loop that runs counter-clockwise.
-So the mean of n over the light is n(c), which hard shadow volumes count, less for every edge the share of the light that
-lies beyond it, signed by whether it passes c counter-clockwise: the share between the two rays from c through its ends,
-less the triangle of c and the ends (Assarsson et al. 2003, sections 4.2.1 and 4.2.2). That is their inner half of a
-wedge, which adds visibility, and the outer half, which subtracts it.
+So the mean of n over the light is n(c), which hard shadow volumes count, less for every edge the share of the light
+that lies beyond it, signed by whether it passes c counter-clockwise: the share between the two rays from c through its
+ends, less the triangle of c and the ends (Assarsson et al. 2003, sections 4.2.1 and 4.2.2). That is their inner half
+of a wedge, which adds visibility, and the outer half, which subtracts it.
 
 Functions take ends as ``light_shapes.seen`` gives them; those on numbers alone are lanes' too.
 """

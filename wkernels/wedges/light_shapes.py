@@ -21,7 +21,7 @@ from wkernels.scene.lights import DirectionalLight, DiscLight, Light, RectangleL
 FACING, FLAT, SUN = wp.constant(0), wp.constant(1), wp.constant(2)
 DISC, SQUARE = wp.constant(0), wp.constant(1)
 NEAREST = wp.constant(1e-6)
-"""Share of the way to the light, or to what is seen farthest away, below which nothing of an edge is seen from a point."""
+"""Share of the way to the light, or of the scene's size for a sun, below which nothing of an edge is seen."""
 FARTHEST = wp.constant(1e30)
 """Depth of a sun."""
 

@@ -1,8 +1,9 @@
 """Lists of wedges per tile, and of these the ones in which any of a tile's receivers can lie.
 
-A tile's list has every wedge that comes near its pixels, and may show far less of them: its receivers fill a ball, often
-a small one. From there the light is seen through the hull of that ball and a ball around the light; an edge that a plane
-parts from both hides nothing from any of them (the culling of Assarsson et al. 2003, section 4.4, for whole tiles).
+A tile's list has every wedge that comes near its pixels, and may show far less of them: its receivers fill a ball,
+often a small one. From there the light is seen through the hull of that ball and a ball around the light; an edge that
+a plane parts from both hides nothing from any of them (the culling of Assarsson et al. 2003, section 4.4, for whole
+tiles).
 """
 
 from __future__ import annotations

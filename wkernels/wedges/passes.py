@@ -24,7 +24,7 @@ from wkernels.wedges.light_shapes import HostShape, LightShape, shape_of
 from wkernels.wedges.near_lists import NearLists, keep_all, keep_near
 from wkernels.wedges.shading import Faces, hide_behind_own_plane, settle
 from wkernels.wedges.shading_lanes import SHADE
-from wkernels.wedges.stored import StorageRule, shade_stored
+from wkernels.wedges.stored import PLAIN, StorageRule, shade_stored
 from wkernels.wedges.textures import LightTexture, shade_textured
 from wkernels.workspace.workspace import Workspace
 
@@ -141,7 +141,7 @@ def prepare(stage: Stage, light: Light, slot: Hashable = 0) -> Prepared | None:
     return Prepared(stage, slot, shape, shape.to_device(stage.reach), silhouettes, wedges, faces)
 
 
-def see_by_wedges(prepared: Prepared, visibility_out: wp.array, storage: StorageRule = StorageRule()) -> None:
+def see_by_wedges(prepared: Prepared, visibility_out: wp.array, storage: StorageRule = PLAIN) -> None:
     """Visibility of a light, float32 (H, W): hard counts and all its edges together."""
     _shade(prepared, prepared.wedges, prepared.count(), prepared.faces, storage, visibility_out)
 
@@ -166,7 +166,7 @@ def _shade(
         work.launch(settle, visibility_out.shape, inputs, [visibility_out])
 
 
-def see_casters_apart(prepared: Prepared, visibility_out: wp.array, storage: StorageRule = StorageRule()) -> None:
+def see_casters_apart(prepared: Prepared, visibility_out: wp.array, storage: StorageRule = PLAIN) -> None:
     """Visibility of a light, float32 (H, W): of every caster on its own, merged one after the other by ``merge_cover``.
 
     A caster is a connected component, in the order of their numbers: its holes are loops too, and take from its own.

@@ -15,7 +15,7 @@ from wkernels.scene.views import View
 from wkernels.wedges.light_shapes import Sight
 
 PIXELS = wp.constant(1.0 / 64.0)
-"""Distance from a hard volume's side, pixels, up to which its count is not trusted: four steps of the drawing's grid."""
+"""Distance from a hard volume's side, pixels, up to which its count is not trusted: four steps of the grid."""
 ROUNDING = wp.constant(2e-6)
 """What float32 may lose of a receiver's place, share of its distances from origin and light."""
 CLOSEST = wp.constant(wp.float64(1e-5))

@@ -1,19 +1,19 @@
 """What the first hardware had to do wedges with: coverage from tables, and sums in 8 bits a channel.
 
-Tables (Assarsson et al. 2003, section 6): angles of 128 directions for each face of a cube, 16 bit; sectors of 256 x 256
-pairs of angles, 16 bit for a disc and 8 for a square. Of the cube only the row of texels in which its third coordinate
-is 0 is ever read, and it is that which is kept here.
+Tables (Assarsson et al. 2003, section 6): angles of 128 directions for each face of a cube, 16 bit; sectors of 256 x
+256 pairs of angles, 16 bit for a disc and 8 for a square. Of the cube only the row of texels in which its third
+coordinate is 0 is ever read, and it is that which is kept here.
 
 Sums (section 4.3): shares are added in one buffer and subtracted in another. ``split12`` has 12 bits, three in each of
-four 8-bit channels, whose upper five hold the carry: exact up to 36 additions of the largest, as 36 x 7 < 256. ``lut10``
-reads those 12 bits from a table of 1024 entries. ``bits6of8`` is the earlier single channel of 6 bits, with 2 for the
-overflow. What is beyond a channel's 8 bits is lost.
+four 8-bit channels, whose upper five hold the carry: exact up to 36 additions of the largest, as 36 x 7 < 256.
+``lut10`` reads those 12 bits from a table of 1024 entries. ``bits6of8`` is the earlier single channel of 6 bits, with
+2 for the overflow. What is beyond a channel's 8 bits is lost.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import warp as wp
@@ -66,6 +66,10 @@ class StorageRule:
             out.angle = wp.array(angle_table(), dtype=float, device=device)
             out.sector = wp.array(sector_table(shape), dtype=float, device=device)
         return out
+
+
+PLAIN = StorageRule()
+"""The method itself."""
 
 
 def _border(way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -139,7 +143,7 @@ def stored_code(buffer: int, share: float):
 
 
 @wp.func
-def add_code(buffer: int, channels: Channels, code: int):
+def add_code(buffer: int, channels: Any, code: int):
     """A buffer's channels with one more number in them, each kept to 8 bits."""
     out = channels
     if buffer == BITS6OF8:
@@ -151,7 +155,7 @@ def add_code(buffer: int, channels: Channels, code: int):
 
 
 @wp.func
-def stored_sum(buffer: int, channels: Channels):
+def stored_sum(buffer: int, channels: Any):
     """What a buffer's channels say."""
     total = float(channels[0]) / 63.0
     if buffer != BITS6OF8:

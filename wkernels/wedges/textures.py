@@ -1,4 +1,4 @@
-"""Shares of a light with a texture: its light beyond an edge, exact for what is constant in each texel, or from a table.
+"""Shares of a light with a texture: its light beyond an edge, exact if constant in each texel, or from a table.
 
 The light beyond an edge is that between the two rays from the centre through its ends, less the triangle's; by Green's
 theorem it is the integral of S dy around that region, S(x, y) being the texture's integral along the row from the left

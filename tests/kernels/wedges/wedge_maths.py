@@ -5,6 +5,8 @@ Light space: the light's plane is z = 0, the receiver a point p = (x, y, z) with
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 
@@ -63,7 +65,7 @@ def beyond(shape: str, ends: np.ndarray) -> float:
     corners = [c for c in np.pi / 4.0 + np.pi / 2.0 * np.arange(-6, 7) if min(0.0, turn) < c - start < max(0.0, turn)]
     angles = [start, *(corners if turn > 0.0 else corners[::-1]), start + turn]
     at = [np.array([np.cos(t), np.sin(t)]) / max(abs(np.cos(t)), abs(np.sin(t))) for t in angles]
-    sector = sum(a[0] * b[1] - a[1] * b[0] for a, b in zip(at[:-1], at[1:], strict=True))
+    sector = sum(a[0] * b[1] - a[1] * b[0] for a, b in pairwise(at))
     return float((sector - cross) / 8.0)
 
 
