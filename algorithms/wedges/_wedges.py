@@ -69,6 +69,7 @@ class WedgeTechnique(Technique):
         Product.CASTER_EDGES,
         Product.SILHOUETTES,
         Product.VOLUMES,
+        Product.WEDGES,
         Product.RAY_STRUCTURE,
     )
     may_leave_out: ClassVar[tuple[Omission, ...]] = (Uncounted.BESIDE, Skip.WEDGES)
@@ -90,7 +91,7 @@ class WedgeTechnique(Technique):
             frame.geometry,
             gbuffer,
             frame.eye(),
-            frame.caster_mesh(),
+            frame.caster_mesh().mesh,
             frame.reach,
             self.rule,
             self.params.culling,

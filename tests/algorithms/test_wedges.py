@@ -343,9 +343,9 @@ def test_silhouettes_are_found_once_for_light_and_casters(device: str) -> None:
     scene = replace(small_scenes.cluttered(small_scenes.light("sphere")), camera=small_scenes.circling(3.0))
     results = render_frames(open_session(scene, device, size=(64, 48)), technique("wedge_spherical"), 3)
     found = [[name for name, _ in result.passes] for result in results]
-    assert Product.SILHOUETTES.value in found[0] and "penumbra wedges" in found[0]
+    assert Product.SILHOUETTES.value in found[0] and Product.WEDGES.value in found[0]
     for names in found[1:]:
-        assert Product.SILHOUETTES.value not in names and "penumbra wedges" in names
+        assert Product.SILHOUETTES.value not in names and Product.WEDGES.value not in names and "penumbrae" in names
 
 
 def lamps() -> list[Light]:

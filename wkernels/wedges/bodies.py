@@ -20,6 +20,7 @@ from wkernels.casters.silhouettes import Silhouettes
 from wkernels.raster.binning import Binner, TileLists
 from wkernels.scene.views import View
 from wkernels.wedges.light_shapes import FACING, SUN, HostShape
+from wkernels.workspace.products import Product
 from wkernels.workspace.workspace import Workspace
 
 WedgeRule = Literal["tight", "sphere_bounded"]
@@ -162,7 +163,7 @@ def pull_wedges(
         return make_wedges(points_ws.numpy(), silhouettes, light, rule, work.device)
 
     inputs = (silhouettes, light.centre_ws.tobytes(), light.corners_ws.tobytes(), light.radius, rule)
-    out: Wedges = work.product("penumbra wedges", ("wedges", slot), inputs, build)
+    out: Wedges = work.product(Product.WEDGES, ("wedges", slot), inputs, build)
     return out
 
 

@@ -152,7 +152,7 @@ def _shade(
     stage, work = prepared.stage, prepared.stage.work
     lists = prepared.lists(wedges)
     inputs = [stage.gbuffer, prepared.light, wedges.edges, lists, counts]
-    with work.timed("penumbra wedges"):
+    with work.timed("penumbrae"):
         if rule.is_plain:
             work.launch(SHADE, visibility_out.shape, inputs, [visibility_out])
         else:
@@ -224,7 +224,7 @@ def see_textured(prepared: Prepared, texture: LightTexture, visibility_out: wp.a
     """Visibility of a light with a texture, float32 (H, W)."""
     stage, work = prepared.stage, prepared.stage.work
     counts, lists = prepared.count(), prepared.lists(prepared.wedges)
-    with work.timed("penumbra wedges"):
+    with work.timed("penumbrae"):
         inputs = [*_exact_inputs(prepared, lists), texture, counts]
         work.launch(shade_textured, visibility_out.shape, [stage.gbuffer, *inputs], [visibility_out])
 
@@ -233,7 +233,7 @@ def see_cells(prepared: Prepared, visibility_out: wp.array) -> None:
     """Visibility of a light, float32 (H, W), as the share of its cells that nothing hides."""
     stage, work = prepared.stage, prepared.stage.work
     counts, lists = prepared.count(), prepared.lists(prepared.wedges)
-    with work.timed("penumbra wedges"):
+    with work.timed("penumbrae"):
         inputs = [*_exact_inputs(prepared, lists), counts]
         work.launch(shade_cells, visibility_out.shape, [stage.gbuffer, *inputs], [visibility_out])
 
