@@ -6,8 +6,9 @@ table of 32 steps for each coordinate of both ends, 1 MB, and is off by what end
 
 Where the texture is constant, the analytic share is the same and is taken.
 
-Deviations: as ``wedge_spherical``. Textures are luminance, as everywhere here, so that one table does. Known
-artefacts: as there. A surface that the light's plane cuts is shaded by the area before it, not by that area's light.
+Deviations: as ``wedge_spherical``. Textures are luminance, as everywhere here, so that one table does.
+Known artefacts: as there. A surface that hides a part of the light by its own plane hides it by area, not by the
+texture's light.
 """
 
 from __future__ import annotations

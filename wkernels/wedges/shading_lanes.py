@@ -88,6 +88,22 @@ def shade_lanes(
     sights = SightRun()
     if begin < end:
         sights = see_light_run(gbuffer, light, flag, x0, y)
+    # members of a struct are not kept in registers
+    u_x = sights.u_x
+    u_y = sights.u_y
+    u_z = sights.u_z
+    v_x = sights.v_x
+    v_y = sights.v_y
+    v_z = sights.v_z
+    w_x = sights.w_x
+    w_y = sights.w_y
+    w_z = sights.w_z
+    o_u = sights.o_u
+    o_v = sights.o_v
+    o_w = sights.o_w
+    depth = sights.depth
+    nearest = sights.nearest
+    blur = sights.blur
     total = Floats(0.0)
     untrusted = Ints(0)
     u0 = Floats(0.0)
@@ -109,18 +125,18 @@ def shade_lanes(
         weight = edges.weight[e]
         hit = int(0)
         for k in range(LANES):
-            p = sights.u_x[k] * a_x + sights.u_y[k] * a_y + sights.u_z[k] * a_z + sights.o_u[k]
-            q = sights.v_x[k] * a_x + sights.v_y[k] * a_y + sights.v_z[k] * a_z + sights.o_v[k]
-            r = sights.w_x[k] * a_x + sights.w_y[k] * a_y + sights.w_z[k] * a_z + sights.o_w[k]
-            s = sights.u_x[k] * b_x + sights.u_y[k] * b_y + sights.u_z[k] * b_z + sights.o_u[k]
-            t = sights.v_x[k] * b_x + sights.v_y[k] * b_y + sights.v_z[k] * b_z + sights.o_v[k]
-            o = sights.w_x[k] * b_x + sights.w_y[k] * b_y + sights.w_z[k] * b_z + sights.o_w[k]
+            p = u_x[k] * a_x + u_y[k] * a_y + u_z[k] * a_z + o_u[k]
+            q = v_x[k] * a_x + v_y[k] * a_y + v_z[k] * a_z + o_v[k]
+            r = w_x[k] * a_x + w_y[k] * a_y + w_z[k] * a_z + o_w[k]
+            s = u_x[k] * b_x + u_y[k] * b_y + u_z[k] * b_z + o_u[k]
+            t = v_x[k] * b_x + v_y[k] * b_y + v_z[k] * b_z + o_v[k]
+            o = w_x[k] * b_x + w_y[k] * b_y + w_z[k] * b_z + o_w[k]
             # beyond one side of the square around the light, or not between receiver and light: no share
             beside = wp.where(p > r, wp.where(s > o, 1, 0), 0) | wp.where(-p > r, wp.where(-s > o, 1, 0), 0)
             beside = beside | wp.where(q > r, wp.where(t > o, 1, 0), 0)
             beside = beside | wp.where(-q > r, wp.where(-t > o, 1, 0), 0)
-            beside = beside | wp.where(wp.max(r, o) <= sights.nearest[k], 1, 0)
-            beside = beside | wp.where(wp.min(r, o) >= sights.depth[k], 1, 0)
+            beside = beside | wp.where(wp.max(r, o) <= nearest[k], 1, 0)
+            beside = beside | wp.where(wp.min(r, o) >= depth[k], 1, 0)
             hit += 1 - beside
             u0[k] = p
             v0[k] = q
@@ -131,8 +147,8 @@ def shade_lanes(
         if hit == 0:
             continue
         for k in range(LANES):
-            least = sights.nearest[k]
-            far = sights.depth[k]
+            least = nearest[k]
+            far = depth[k]
             from_ = enters(0.0, w0[k] - least, w1[k] - least)
             to = leaves(1.0, w0[k] - least, w1[k] - least)
             low[k] = enters(from_, far - w0[k], far - w1[k])
@@ -173,7 +189,7 @@ def shade_lanes(
             in_disc = beyond_in_disc(f_x, f_y, t_x, t_y)
             share = wp.where(light.shape == DISC, in_disc, in_square)
             total[k] = total[k] + wp.where(some, weight * share, 0.0)
-            close = passes_centre(f_x, f_y, t_x, t_y, wp.min(f_w, t_w), sights.blur[k])
+            close = passes_centre(f_x, f_y, t_x, t_y, wp.min(f_w, t_w), blur[k])
             untrusted[k] = untrusted[k] + wp.where(some, close, 0)
     visible = Floats(1.0)
     for k in range(wp.min(LANES, visibility_out.shape[1] - x0)):
