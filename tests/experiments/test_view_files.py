@@ -119,9 +119,9 @@ def test_silhouettes_are_of_those_that_pull_them(files: Path, tmp_path: Path) ->
 
 
 def test_wedges_are_of_those_that_have_them(files: Path, tmp_path: Path) -> None:
-    changes = ["techniques=[shadow_volume_zfail, wedge_rectangular]", "views.kinds=[wedges, v_buffer]"]
+    changes = ["techniques=[shadow_volume_zfail, wedge_spherical]", "views.kinds=[wedges, v_buffer]"]
     store = Store(run(load_experiment(files / "box.yaml", changes), tmp_path / "out", report=False))
-    names = {name for name, _ in store.pictures("wedge_rectangular")}
+    names = {name for name, _ in store.pictures("wedge_spherical")}
     assert names == {"wedges_third", "v_buffer_eye"} and not list(store.pictures("shadow_volume_zfail"))
 
 
