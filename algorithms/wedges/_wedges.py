@@ -75,6 +75,10 @@ class WedgeTechnique(Technique):
     may_leave_out: ClassVar[tuple[Omission, ...]] = (Uncounted.BESIDE, Skip.WEDGES)
     limits: ClassVar[tuple[Limit, ...]] = (Limit(equals="shadow_volume_zfail", light_scale=0.0),)
 
+    stability_limits: ClassVar[dict[str, str]] = {
+        "light_grows": "silhouettes of the centre stand for a light wider than its distance, which sees other sides"
+    }
+
     @property
     def rule(self) -> WedgeRule:
         """Around what wedges are."""

@@ -60,4 +60,4 @@ def see_halves(prepared: Prepared) -> tuple[wp.array, wp.array, wp.array, wp.arr
     out = tuple(wp.empty(shape, dtype=dtype, device=work.device) for dtype in dtypes)
     inputs = [gbuffer, prepared.light, prepared.wedges.edges, prepared.lists(prepared.wedges)]
     work.launch(part_halves, shape, inputs, list(out))
-    return out  # type: ignore[return-value]
+    return out

@@ -18,6 +18,8 @@ PIXELS = wp.constant(1.0 / 64.0)
 """Distance from a hard volume's side, pixels, up to which its count is not trusted: four steps of the grid."""
 ROUNDING = wp.constant(2e-6)
 """What float32 may lose of a receiver's place, share of its distances from origin and light."""
+PIECES = wp.constant(16)
+"""Of the way to the light, each with a box of its own."""
 CLOSEST = wp.constant(wp.float64(1e-5))
 """Share of the way to the light below which a face is the receiver's own surface."""
 ZERO, ONE = wp.constant(wp.float64(0.0)), wp.constant(wp.float64(1.0))
@@ -62,30 +64,26 @@ def is_left(points_ws: wp.array(dtype=wp.vec3), i: int, j: int, position_ws: wp.
 
 
 @wp.func
-def hides_centre(
+def way_to_face(
     points_ws: wp.array(dtype=wp.vec3),
     i: int,
     j: int,
     k: int,
     position_ws: wp.vec3d,
     to_light: wp.vec3d,
-    light_w: wp.float64,
 ):
-    """Whether the face (i, j, k) lies between a receiver and the light's centre; light_w is 0 for a direction."""
+    """Where the face (i, j, k) lies on the line to the light, in lengths of ``to_light``; -1 if it does not."""
     left = is_left(points_ws, i, j, position_ws, to_light)
-    hides = bool(False)
+    way = -ONE
     if left == is_left(points_ws, j, k, position_ws, to_light) and left == is_left(
         points_ws, k, i, position_ws, to_light
     ):
-        corner = wp.vec3d(points_ws[i]) - position_ws
-        normal = wp.cross(
-            wp.vec3d(points_ws[j]) - wp.vec3d(points_ws[i]), wp.vec3d(points_ws[k]) - wp.vec3d(points_ws[i])
-        )
+        a = wp.vec3d(points_ws[i])
+        normal = wp.cross(wp.vec3d(points_ws[j]) - a, wp.vec3d(points_ws[k]) - a)
         slope = wp.dot(normal, to_light)
         if slope != ZERO:
-            way = wp.dot(normal, corner) / slope
-            hides = way > CLOSEST and (light_w == ZERO or way < ONE)
-    return hides
+            way = wp.dot(normal, a - position_ws) / slope
+    return way
 
 
 @wp.func
@@ -113,17 +111,27 @@ def count_hiding_faces(
     """
     at = wp.vec3d(position_ws)
     to_light = wp.vec3d(light_ws[0], light_ws[1], light_ws[2]) - at * light_ws[3]
-    end = wp.vec3(at + to_light)
+    length = ONE
     if light_ws[3] == ZERO:
-        end = position_ws + wp.vec3(to_light) * reach
+        length = wp.float64(reach)
     count = int(0)
-    query = wp.mesh_query_aabb(mesh_id, wp.min(position_ws, end), wp.max(position_ws, end))
-    face = int(0)
-    while wp.mesh_query_aabb_next(query, face):
-        if turns[face] != wp.int8(0) and face != own:
-            i = indices[3 * face]
-            j = indices[3 * face + 1]
-            k = indices[3 * face + 2]
-            if hides_centre(points_ws, i, j, k, at, to_light, light_ws[3]):
-                count += 1
+    # a face is counted in the piece of the way that it lies on: boxes around pieces hold fewer than one around all
+    for piece in range(PIECES):
+        low = length * wp.float64(piece) / wp.float64(PIECES)
+        high = length * wp.float64(piece + 1) / wp.float64(PIECES)
+        start = wp.vec3(at + to_light * low)
+        end = wp.vec3(at + to_light * high)
+        slack = wp.vec3(1.0, 1.0, 1.0) * (ROUNDING * (wp.length(start) + wp.length(end)))
+        if piece == 0:
+            low = CLOSEST * length
+        query = wp.mesh_query_aabb(mesh_id, wp.min(start, end) - slack, wp.max(start, end) + slack)
+        face = int(0)
+        while wp.mesh_query_aabb_next(query, face):
+            if turns[face] != wp.int8(0) and face != own:
+                i = indices[3 * face]
+                j = indices[3 * face + 1]
+                k = indices[3 * face + 2]
+                way = way_to_face(points_ws, i, j, k, at, to_light)
+                if way >= low and way < high:
+                    count += 1
     return count
