@@ -168,6 +168,10 @@ class CasterTreeBuilder:
         triangles: How many of their triangles count, from the first on.
         device: Warp device.
         threads: CPU threads; None for all. The tree does not depend on it.
+
+    Attributes:
+        tree: The tree.
+        order: int32 (triangles,), which triangle stands at each place of the leaves.
     """
 
     def __init__(
@@ -180,8 +184,8 @@ class CasterTreeBuilder:
     ) -> None:
         self._points, self._indices, self._device, self._threads = points_ws, indices, device, threads
         self._triangles = triangles
-        order = spatial_order(points_ws.numpy(), indices.numpy()[: 3 * triangles].reshape(-1, 3))
-        self._order = wp.array(order, dtype=int, device=device)
+        self.order = spatial_order(points_ws.numpy(), indices.numpy()[: 3 * triangles].reshape(-1, 3))
+        self._order = wp.array(self.order, dtype=int, device=device)
         sizes = [-(-self._triangles // 8)] if self._triangles else []
         while sizes and (len(sizes) == 1 or sizes[-1] > 1):
             sizes.append(-(-sizes[-1] // 8))
