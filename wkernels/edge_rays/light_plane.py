@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from wkernels.scene.lights import DirectionalLight, Light, PolygonLight
+from wkernels.scene.lights import DirectionalLight, Light, PolygonLight, SphereLight
 
 BALL_MARGIN = 3.0
 """Half the side of the cube, in radii, that holds what receivers see of the plane through a ball's centre within the
@@ -17,6 +17,9 @@ square around the ball, from 1.2 radii on: sqrt(2) / sqrt(1 - 1.2^-2) = 2.6."""
 
 FLAT_MARGIN = 1.0e-3
 """By which share a flat light's corners are moved outwards, against rounding."""
+
+FLATTEST_LIGHT = 1.0e-4
+"""Least width of a flat light, as a share of its length; a thinner one counts as a ball."""
 
 NEAREST_BALL = wp.constant(1.2)  # radii
 FLATTEST = wp.constant(1.0e-3)  # sine of the angle at which a flat light is still projected onto its own plane
@@ -56,7 +59,7 @@ def hull_for_paths(light: Light) -> np.ndarray:
         half = 0.5 + FLAT_MARGIN
         corners = [centre + half * (a * edge_u + b * edge_v) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     else:
-        radius = 0.5 * BALL_MARGIN * light.size
+        radius = BALL_MARGIN * _radius(light)
         corners = [light.centre[:3] + radius * (2.0 * np.array(c) - 1.0) for c in np.ndindex(2, 2, 2)]
     w = 0.0 if light.is_directional else 1.0
     return np.concatenate([np.array(corners), np.full((len(corners), 1), w)], axis=1)
@@ -75,8 +78,8 @@ def light_plane(light: Light, device: str) -> LightPlane:
         out.size = 0.5 * max(np.linalg.norm(edge_u + edge_v), np.linalg.norm(edge_u - edge_v))
     else:
         centre, hull = light.centre[:3], light.hull[:, :3]
-        across = hull[1] - hull[0]
-        out.to_u, out.size = wp.vec3(*(across / np.linalg.norm(across))), 0.5 * light.size
+        across = max(hull - hull[0], key=np.linalg.norm)
+        out.to_u, out.size = wp.vec3(*(across / np.linalg.norm(across))), _radius(light)
     out.centre = wp.vec3(*centre)
     out.corners = wp.array(hull_for_paths(light)[:, :3].astype(np.float32), dtype=wp.vec3, device=device)
     return out
@@ -91,7 +94,7 @@ def touching(light: Light, triangles: np.ndarray) -> np.ndarray:
         return np.zeros(len(triangles), bool)
     points = triangles.astype(np.float64)
     if not _is_flat(light):
-        radius = 0.5 * BALL_MARGIN * light.size
+        radius = BALL_MARGIN * _radius(light)
         way = points - light.centre[:3]
         return ((way.min(axis=1) <= radius) & (way.max(axis=1) >= -radius)).all(axis=1)
     centre, edge_u, edge_v = _flat_frame(light)
@@ -150,7 +153,19 @@ def projection_from(light: LightPlane, origin: wp.vec3):
 
 
 def _is_flat(light: Light) -> bool:
-    return light.kind in ("rectangle", "disc", "polygon", "directional")
+    if light.kind not in ("rectangle", "disc", "polygon", "directional"):
+        return False
+    with np.errstate(divide="ignore", invalid="ignore"):
+        _, edge_u, edge_v = _flat_frame(light)
+        area = np.linalg.norm(np.cross(edge_u, edge_v))
+        return bool(area > FLATTEST_LIGHT * max(edge_u @ edge_u, edge_v @ edge_v))
+
+
+def _radius(light: Light) -> float:
+    """Of a ball around a light, which may be thin or a line, at its centre."""
+    if isinstance(light, SphereLight):
+        return light.radius
+    return float(np.linalg.norm(light.hull[:, :3] - light.centre[:3], axis=1).max())
 
 
 def _flat_frame(light: Light) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
