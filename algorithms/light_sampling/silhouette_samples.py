@@ -4,7 +4,8 @@ Edges of the casters that no point of the light sees as a silhouette are dropped
 near a receiver's way to the light say by how much the casters' depth complexity differs between samples. Of samples
 with the least, one ray decides: all of them are lit, or none; all others are hidden (Laine, Aila, Assarsson, Lehtinen
 and Akenine-Moeller 2005). Samples and answers are those of ``reference_multisample``, but for samples that lie on an
-edge within rounding: about one of a million.
+edge within rounding: about one of a million. The reported standard error is that of independent samples (Scherzer et
+al. 2009, equation 3).
 
 Deviations: edges are found in a tree of boxes for clusters of receivers instead of a hemicube of the light's; samples
 lie anywhere on the light, and complexity is counted along a path that all of them share (``wkernels/edge_rays``), so

@@ -355,7 +355,8 @@ def trace_silhouettes(
             inputs = [gbuffer, first * size, lists, plane, hull, samples.batches, known.piercing_ws, casters]
             rows = min(last * size, height) - first * size
             work.launch(trace_edges, (rows, width), inputs, [visibility_out, way, met])
-    by_rays = int(np.count_nonzero(way.numpy() == int(BY_RAYS)))
+    needs_rays = (way.numpy() == int(BY_RAYS)) & ((gbuffer.flags.numpy() & int(RECEIVES)) != 0)
+    by_rays = int(np.count_nonzero(needs_rays))
     if by_rays:
         some = GBuffer()
         for name in ("view", "depth", "position_ws", "normal_ws", "mesh", "triangle"):
