@@ -86,7 +86,7 @@ class SilhouetteSamples(Technique):
         alike = count > 1 and not has_area and frame.leave_out(Skip.RAYS_ALIKE, count=count - 1)
         samples = frame.light_samples(1 if alike else count, self.params.sample_set)
         hull, shape = frame.light_hull(), visibility.shape
-        if has_area and uses_lanes(frame.device):
+        if has_area and frame.geometry.caster_triangles and uses_lanes(frame.device):
             known = pull_edge_set(frame, frame.geometry, frame.light)
             tree, casters = frame.caster_tree(), frame.caster_mesh()
             with frame.timed("silhouettes"):

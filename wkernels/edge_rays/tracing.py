@@ -322,7 +322,7 @@ def trace_silhouettes(
         gbuffer: The receivers.
         known: Of casters and light, ``pull_edge_set``.
         tree: The casters for many rays.
-        casters: The casters for single rays.
+        casters: The casters for single rays; not 0.
         samples: Points of the light.
         light: A light with an area, rebased world.
         hull: Its hull.
