@@ -4,7 +4,7 @@ WORKERS ?= auto
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: help demo test check bench table picture clean
+.PHONY: help demo test check bench scenes table picture clean
 .DEFAULT_GOAL := help
 
 help:
@@ -12,6 +12,7 @@ help:
 	@echo "make test    run the tests on all cores (WORKERS=N: on N)"
 	@echo "make check   lint and type check"
 	@echo "make bench   time passes beside other renderers, frames, scaling and start-up (5 minutes)"
+	@echo "make scenes  fetch the real scenes of configs/scenes/real, by package name (300 MB to download)"
 	@echo "make table   bring the tables of README.md and docs/formats.md up to date"
 	@echo "make picture make the picture of README.md again, from the demo"
 	@echo "make clean   remove .venv and out/"
@@ -34,6 +35,9 @@ check: $(STAMP)
 
 bench: $(STAMP)
 	@$(BIN)/wkernels bench
+
+scenes: $(STAMP)
+	$(BIN)/python -m experiments.commands.fetch_scenes
 
 table: $(STAMP)
 	$(BIN)/python -m experiments.commands.readme

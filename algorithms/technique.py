@@ -33,6 +33,7 @@ class Needs:
         area: Whether the light must have an area (a point, or a sun without an angle, is refused).
         closed_meshes: Whether casters must be closed 2-manifolds.
         planar_receiver: Whether receivers must be planar.
+        whole_casters: Whether casters must not be cut out by a texture.
         history: Whether results depend on earlier frames.
         still_light: Whether the light must stand still.
     """
@@ -41,6 +42,7 @@ class Needs:
     area: bool = False
     closed_meshes: bool = False
     planar_receiver: bool = False
+    whole_casters: bool = False
     history: bool = False
     still_light: bool = False
 
@@ -200,7 +202,7 @@ class MapTechnique(Technique):
     G-buffer and map are pulled here, and scenes that need no map end here; the file says how a map becomes visibility.
     """
 
-    products = (Product.G_BUFFER, Product.LIGHT_MAP)
+    products: ClassVar[tuple[Product, ...]] = (Product.G_BUFFER, Product.LIGHT_MAP)
     Params: ClassVar[type[Params]] = MapParams
 
     @abstractmethod

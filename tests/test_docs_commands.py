@@ -28,6 +28,7 @@ COSTLY = (
     "winter",
     "savings",
     "sweep_all",
+    "real_scenes",
     "cost.yaml",
     "flicker",
     "mover_map",

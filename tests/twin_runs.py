@@ -56,6 +56,10 @@ STILL: list[tuple[str, dict[str, Any]]] = [
     ("vsm", {}),
     ("vsm", {"taps": 21, "bleeding": 0.2}),
     ("projection_aliasing_mitigation", {}),
+    ("shadow_volume_zfail", {}),
+    ("shadow_volume_zpass", {"shadowed": "nonzero"}),
+    ("penumbra_maps", {}),
+    ("smoothies", {}),
 ]
 OVER_TIME: list[tuple[str, dict[str, Any]]] = [
     ("tc_hard", {}),
@@ -135,7 +139,8 @@ def session(scene: Scene, width: int = 100, height: int = 60, **options: Any) ->
 
 def _render(running: Session, name: str, params: dict[str, Any], frames: Sequence[int] = (0,)) -> None:
     technique = find(name)
-    made = technique(technique.Params(**{"resolution": 256, **params}))
+    small_map = {"resolution": 256} if "resolution" in technique.Params.model_fields else {}
+    made = technique(technique.Params(**{**small_map, **params}))
     for frame in frames:
         running.begin(frame)
         running.render(made)
@@ -145,10 +150,14 @@ def _render(running: Session, name: str, params: dict[str, Any], frames: Sequenc
 def runs() -> Iterator[tuple[str, Callable[[], None]]]:
     """Every run: its name, and what it does."""
     for (name, params), lamp in product(STILL, LIGHTS):
+        if LIGHTS[lamp].kind not in find(name).needs.lights:
+            continue
         yield (
             f"{name} {params} {lamp}",
             lambda n=name, p=params, k=lamp: _render(session(small.cluttered(LIGHTS[k])), n, p),
         )
+    for lamp in LIGHTS:
+        yield f"plateaus {lamp}", lambda k=lamp: _render(session(small.box_on_ground(LIGHTS[k])), "plateaus", {})
     for name, split, lamp in product(
         ("pcf", "pcf_split_kernel", "pcss", "shadow_map", "vsm", "tc_hard"), SPLITS, ("perspective", "orthographic")
     ):

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from algorithms.technique import Frame, Limit, Technique, setting
+from algorithms.technique import Frame, Limit, Needs, Technique, setting
 from algorithms.technique import Params as BaseParams
 from wkernels.irregular.hidden import find_hidden
 from wkernels.workspace.products import Product
@@ -29,6 +29,7 @@ class AliasFree(Technique):
     name = "alias_free"
     family = "hard"
     paper = ("aila2004", "johnson2005", "stingl2011")
+    needs = Needs(whole_casters=True)
     products = (Product.G_BUFFER,)
     bias_sign = "none"
     limits = (Limit(equals="ray_cast_point_shadow", tolerance=1e-6, flips=0.001),)

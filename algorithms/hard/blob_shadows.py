@@ -14,7 +14,7 @@ Deviations: the blob falls on whatever lies below, not on one ground.
 Known artefacts: wrong by design. No shape but an ellipse, no self-shadow, nothing fully dark at a distance. A caster in
 one piece is too light in the mean, the more the higher it floats, and hardly wrong where it rests on the ground. A mesh
 of parts that lie apart, such as a town in one file, or a house and one loose tile, has one blob round them all and is
-far too dark, the more the wider they lie.
+far too dark, the more the wider they lie; so has a card of leaves, whatever its texture cuts out.
 """
 
 from __future__ import annotations
@@ -89,6 +89,11 @@ class BlobShadows(Technique):
             check="behind_an_opaque_slab_all_is_dark",
             because="a blob fades with the height of its caster",
             message=r"^up to 0\.\d+ under",
+        ),
+        ExpectedFailure(
+            check="a_cut_out_caster_shades_by_what_is_left_of_it",
+            because="a blob is the ellipse round all of a caster",
+            message=r"of the pixels differ from those of two squares",
         ),
     )
     stability_limits: ClassVar[dict[str, str]] = {

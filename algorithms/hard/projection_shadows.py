@@ -26,7 +26,7 @@ import warp as wp
 
 from algorithms.technique import Frame, Limit, Needs, Params, Technique, setting
 from wkernels.casters.flattening import Flattener
-from wkernels.casters.receiver_planes import ReceiverPlane, extent_of, receiver_planes, turned_to_light
+from wkernels.casters.receiver_planes import ReceiverPlane, extent_of, pull_planes, turned_to_light
 from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
 from wkernels.sampling.estimators import standard_error
 from wkernels.scene.geometry import RECEIVES
@@ -96,7 +96,7 @@ class ProjectionShadows(Technique):
     family = "hard"
     paper = ("blinn1988", "schwaerzler2009", "heckbert1997")
     products = (Product.G_BUFFER,)
-    needs = Needs(planar_receiver=True)
+    needs = Needs(planar_receiver=True, whole_casters=True)
     stability_limits: ClassVar[dict[str, str]] = {
         "light_place": "a light in the receiver's plane flattens nothing onto it: the projection has rank 1",
         "grazing": "the flattened casters reach to where float32 has no digits left as the light nears the plane",
@@ -137,7 +137,7 @@ class ProjectionShadows(Technique):
         total = np.add.accumulate(weights)[-1]  # in the kernels' order and precision: "all hidden" is exactly 0
         if count > 1 and not frame.light.has_area and frame.leave_out(Skip.ALIKE, count=count - 1):
             lights, weights = lights[:1], np.array([total])
-        planes = self._planes(frame, gbuffer)
+        planes = pull_planes(frame, frame.geometry, frame.index, gbuffer, Skip.UNSEEN, Skip.FLAT_NONE)
         hidden = frame.buffer("hidden weight", visibility.shape, wp.float32)
         hidden.zero_()
         for light_ws, weight in zip(lights, weights, strict=True):
@@ -148,26 +148,6 @@ class ProjectionShadows(Technique):
             inputs = [hidden, float(total), float(count)]
             frame.launch(light_of_hidden, visibility.shape, inputs, [visibility, error])
         return visibility
-
-    def _planes(self, frame: Frame, gbuffer: GBuffer) -> list[tuple[int, ReceiverPlane]]:
-        """Numbered planes; without those that no pixel shows."""
-
-        def build(old: tuple | None) -> tuple:
-            own_planes = old[1] if old else {}
-            return receiver_planes(frame.geometry, frame.index, own_planes), own_planes
-
-        planes = frame.product("receiver planes", "receiver planes", frame.geometry.version, build)[0]
-        if not planes:
-            frame.tell(Skip.FLAT_NONE)
-        numbered = list(enumerate(planes))
-        if len(numbered) > 1 and frame.may_leave_out(Skip.UNSEEN):
-            mesh = gbuffer.mesh.numpy()
-            shown = set(np.flatnonzero(np.bincount(mesh[mesh >= 0], minlength=1)))
-            seen = [(number, plane) for number, plane in numbered if shown.intersection(plane.meshes)]
-            if len(seen) < len(numbered):
-                frame.leave_out(Skip.UNSEEN, count=len(numbered) - len(seen))
-            numbered = seen
-        return numbered
 
     def _add_shadows(
         self,

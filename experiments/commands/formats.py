@@ -217,6 +217,7 @@ TABLES: Mapping[str, Callable[[], str]] = {
     "mesh": lambda: key_table(schema.MeshOptions),
     "primitives": lambda: kinds_table("primitive", schema.PRIMITIVES, schema.MeshOptions),
     "generators": generators_table,
+    "cutout": lambda: key_table(schema.Cutout),
     "transform": lambda: key_table(schema.Transform),
     "motion": lambda: key_table(schema.Motion),
     "motion keyframe": lambda: key_table(schema.MotionKeyframe, without=[schema.Transform]),

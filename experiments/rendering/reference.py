@@ -190,6 +190,10 @@ class ReferenceRenderer:
         for part in (geometry.points_ws, geometry.indices, geometry.triangle_mesh, geometry.mesh_flags):
             _add(digest, part.numpy())
         _add(digest, geometry.caster_triangles, geometry.origin_ws)
+        cutouts = geometry.cutouts
+        if cutouts.count:
+            for part in (cutouts.uv, cutouts.texture, cutouts.textures, cutouts.alpha):
+                digest.update(part.numpy().tobytes())
         for item in (light, camera):
             for attribute in fields(item):
                 _add(digest, attribute.name, getattr(item, attribute.name))

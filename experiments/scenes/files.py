@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
 import warnings
-from pathlib import Path
 
 import numpy as np
 
 from experiments.scenes import schema
+from experiments.scenes.assets import find_file
 from experiments.scenes.meshes import collada_file, gltf, obj, off, ply, stl, usd
 from experiments.scenes.meshes.reading import MeshError, Reader
 from experiments.scenes.place import Place
@@ -20,8 +19,6 @@ READERS: dict[str, Reader] = {
     **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), usd.read),
 }
 """By suffix."""
-
-_WARP_PREFIX = "warp:"
 
 
 class MeshWarning(UserWarning):
@@ -36,7 +33,7 @@ def read_triangles(name: str, place: Place) -> Triangles:
     without area stay. What else a reader leaves out or turns is a MeshWarning too.
 
     Args:
-        name: Path relative to the scene file, or ``warp:NAME`` for one of Warp's example assets.
+        name: As in ``find_file``.
         place: Where the scene file names it.
 
     Returns:
@@ -46,8 +43,7 @@ def read_triangles(name: str, place: Place) -> Triangles:
         InputError: The file is missing, unreadable, of an unknown format, needs a package that is not installed, uses
             vertices it does not have or coordinates beyond a scene's limits, or has no triangles with finite vertices.
     """
-    asset = name.startswith(_WARP_PREFIX)
-    path = place.existing_file(name.removeprefix(_WARP_PREFIX), _warp_assets() if asset else None)
+    path = find_file(name, place)
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise place.error(f"'{path}' is of no known mesh format, which are {', '.join(READERS)}.")
@@ -78,12 +74,6 @@ def read_triangles(name: str, place: Place) -> Triangles:
             f"'{path}' has a coordinate of {furthest:.3g}; lengths beyond {schema.LARGEST:g} cannot be drawn."
         )
     return vertices, faces
-
-
-def _warp_assets() -> Path:
-    spec = importlib.util.find_spec("warp")
-    assert spec is not None and spec.origin is not None, "warp-lang is a dependency"
-    return Path(spec.origin).parent / "examples" / "assets"
 
 
 def _weld(vertices: np.ndarray, faces: np.ndarray) -> Triangles:

@@ -12,15 +12,18 @@ import numpy as np
 
 from experiments.config.source import Source, from_dict, load_yaml
 from experiments.scenes import generators, primitives, schema
+from experiments.scenes.assets import without_prefix
 from experiments.scenes.cameras import CameraPath, camera_path
 from experiments.scenes.files import read_triangles
 from experiments.scenes.importing.building import import_file, imported_camera
 from experiments.scenes.importing.schema import ImportingSceneFile
 from experiments.scenes.lights import build_light
+from experiments.scenes.masks import flat_mask
 from experiments.scenes.place import FreeNames, Place, misspelt
 from experiments.scenes.poses import KeyframedPose, Moving, pose
 from experiments.scenes.primitives import Triangles
 from wkernels.errors import nearest
+from wkernels.scene.cutouts import WRAPS
 from wkernels.scene.geometry import box_of
 from wkernels.scene.lights import Light
 from wkernels.scene.model import Mesh, Scene
@@ -102,13 +105,17 @@ def _add_meshes(meshes: list[Mesh], place: Place, names: FreeNames, files: dict[
         parts = [replace(part, name=prefix + part.name) for part in generators.run(options)]
     elif kind == "file":
         options = file_options = place.validated(schema.MeshFile)
-        default = Path(file_options.file.removeprefix("warp:")).stem
+        default = Path(without_prefix(file_options.file)).stem
         if file_options.file not in files:
             files[file_options.file] = read_triangles(file_options.file, place.at("file"))
         parts = [Mesh(options.name or default, *files[file_options.file])]
     else:
         options = place.validated(place.choice("primitive", schema.PRIMITIVES))
-        parts = [Mesh(options.name or place.data["primitive"], *primitives.triangulate(options))]
+        triangles = primitives.triangulate(options)
+        mask = None
+        if isinstance(options, (schema.Plane, schema.Grid)) and options.mask is not None:
+            mask = flat_mask(options.mask, triangles, options.size, place.at("mask"))
+        parts = [Mesh(options.name or place.data["primitive"], *triangles, mask=mask)]
     object_to_ws = pose(options.transform, options.motion, place)
     moving = isinstance(object_to_ws, KeyframedPose) and object_to_ws.moving
     if options.name is not None and any(part.name in names for part in parts):
@@ -185,6 +192,9 @@ def content_hash(meshes: Sequence[Mesh], lights: Sequence[Light], camera: Camera
             add(mesh.object_to_ws(0))
         if isinstance(mesh.deformed, Moving):
             add(*mesh.deformed.description)
+        if mesh.mask is not None:
+            mask = mesh.mask
+            add(mask.uv, mask.alpha, mask.cutoff, [WRAPS[wrap] for wrap in mask.wrap], mask.nearest)
     for light in lights:
         digest.update(light.kind.encode())
         for item in fields(light):

@@ -86,7 +86,7 @@ def triangulate(options: schema.MeshOptions) -> Triangles:
     own = {
         key: getattr(options, key)
         for key in type(options).model_fields
-        if key != "primitive" and key not in schema.MeshOptions.model_fields
+        if key != "primitive" and key not in schema.FlatOptions.model_fields
     }
     return _shape(PRIMITIVES[type(options)], tuple(own.items()))
 

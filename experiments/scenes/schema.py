@@ -98,7 +98,33 @@ class Box(MeshOptions):
     size: tuple[Positive, Positive, Positive]
 
 
-class Plane(MeshOptions):
+class Cutout(StrictModel):
+    """A texture that says where a surface is there, such as leaves on a card.
+
+    Attributes:
+        texture: An image file, relative to the scene file: its alpha, or its first channel where it has none.
+        cutoff: Least alpha that is there.
+        repeat: How often the texture is repeated along x and z.
+        filter: Whether alpha is interpolated between texels before it is compared.
+    """
+
+    texture: Name
+    cutoff: Annotated[float, Field(ge=0, le=1)] = 0.5
+    repeat: tuple[Positive, Positive] = (1.0, 1.0)
+    filter: Literal["linear", "nearest"] = "linear"
+
+
+class FlatOptions(MeshOptions):
+    """Keys that flat primitives take besides those of every mesh.
+
+    Attributes:
+        mask: Cuts it out by a texture that covers it once; techniques that need whole casters refuse it.
+    """
+
+    mask: Cutout | None = None
+
+
+class Plane(FlatOptions):
     """Two triangles in XZ, normal +Y."""
 
     primitive: Literal["plane"]
@@ -112,7 +138,7 @@ class Disc(MeshOptions):
     radius: Positive
 
 
-class Grid(MeshOptions):
+class Grid(FlatOptions):
     """cells x cells quads in XZ, normal +Y."""
 
     primitive: Literal["grid"]
@@ -137,7 +163,7 @@ class Cylinder(MeshOptions):
 
 
 class MeshFile(MeshOptions):
-    """A mesh file, relative to the scene file; ``warp:NAME`` is one of Warp's example assets."""
+    """A mesh file, relative to the scene file, ``warp:NAME`` or ``fetched:NAME/FILE`` (``assets.find_file``)."""
 
     file: Name
 

@@ -19,6 +19,7 @@ from experiments.config.overrides import apply_overrides
 from experiments.config.source import Source, dump_yaml, load_yaml
 from experiments.metrics.registry import GROUPS, METRICS
 from experiments.scenes import load_scene, scene_from_source
+from experiments.scenes.assets import PREFIXES
 from experiments.schema.models import FrameRange, Image, Reference, RunFile, Views
 from experiments.schema.techniques import TechniqueRun
 from experiments.schema.views import resolve_views
@@ -238,6 +239,6 @@ def _with_absolute_files(data: Any, base: Path) -> Any:
         return data
     out = {}
     for key, value in data.items():
-        is_file = key in ("file", "texture", "import") and isinstance(value, str) and not value.startswith("warp:")
+        is_file = key in ("file", "texture", "import") and isinstance(value, str) and not value.startswith(PREFIXES)
         out[key] = (base / value).as_posix() if is_file else _with_absolute_files(value, base)
     return out

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from wkernels.workspace.products import Product
+
 
 @dataclass(frozen=True)
 class Kind:
@@ -15,12 +17,14 @@ class Kind:
         caption: What to look for, one or two sentences.
         places: Where it is looked at from: ``eye``, ``third`` (person), or ``map`` (no camera).
         needs_map: Whether it says something about a light map, so that other techniques have none.
+        pulls: Product that it is about, so that techniques that do not pull it have none.
     """
 
     title: str
     caption: str
     places: tuple[str, ...]
     needs_map: bool = True
+    pulls: Product | None = None
 
 
 KINDS: Mapping[str, Kind] = {
@@ -70,6 +74,14 @@ KINDS: Mapping[str, Kind] = {
         "The scene as each map sees it, with the frustum and the view vector in it: a warp spreads what is near to the "
         "eye.",
         ("map",),
+    ),
+    "silhouettes": Kind(
+        "Silhouettes",
+        "The casters' edges where the light's centre sees them turn away, in the loops that shadow volumes and "
+        "penumbrae are swept from.",
+        ("eye", "third"),
+        needs_map=False,
+        pulls=Product.SILHOUETTES,
     ),
     "depth_map": Kind("Depth maps", "Linear depth from the light, layer by layer.", ("map",)),
     "shadow_area_waste": Kind(

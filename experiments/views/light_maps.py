@@ -144,7 +144,8 @@ def _seen_from_light(subject: Subject, view: HostView) -> tuple[np.ndarray, np.n
     depth = wp.empty((view.height, view.width), dtype=float, device=engine.device)
     triangle = wp.empty((view.height, view.width), dtype=int, device=engine.device)
     rasteriser = Rasteriser(engine.device, engine.threads)
-    rasteriser.draw(geometry.points_ws, geometry.indices, view.to_device(), depth, triangle)
+    points, cutouts = geometry.points_ws, geometry.cutouts
+    rasteriser.draw(points, geometry.indices, view.to_device(), depth, triangle, cutouts=cutouts)
     ids, far = triangle.numpy(), depth.numpy().astype(float)
     seen = ids >= 0
     normals = geometry.triangle_normal_ws.numpy().astype(float)[ids[seen]]

@@ -12,7 +12,7 @@ from experiments.results.images import write_png
 from experiments.results.store import Store
 from experiments.results.tables import write_text
 from experiments.schema.view_kinds import KINDS, picture_names
-from experiments.views import error_plot, light_maps, space, surfaces
+from experiments.views import error_plot, light_maps, silhouettes, space, surfaces
 from experiments.views.sheet import Sheet, composed
 from experiments.views.subject import Subject
 from experiments.views.words import projection_in_words
@@ -40,6 +40,8 @@ _DRAW: Mapping[str, Callable[[Subject], Sheet]] = {
     },
     "difference_eye": lambda subject: surfaces.difference(subject, "eye"),
     "difference_third": lambda subject: surfaces.difference(subject, "third"),
+    "silhouettes_eye": lambda subject: silhouettes.silhouettes(subject, "eye"),
+    "silhouettes_third": lambda subject: silhouettes.silhouettes(subject, "third"),
     "intersection_bodies_third": space.intersection_bodies,
     "frusta_third": space.frusta,
     "minimap_third": space.minimap,
@@ -81,9 +83,14 @@ def make_views(
         return []
     kinds = [kind for kind in KINDS if kind in views.kinds]
     skipped: list[Skipped] = []
+    foreign = [kind for kind in kinds if KINDS[kind].pulls not in {None, *session.pulled}]
+    if foreign:
+        kinds = [kind for kind in kinds if kind not in foreign]
+        skipped.append((f"views {', '.join(foreign)}", f"{run.name} pulls none of what they show", len(foreign)))
     if session.shown is None:
         # unless the label was asked for by name, the pictures that are left would not be about it
-        dropped = [kind for kind in kinds if KINDS[kind].needs_map or not views.labels]
+        about = [kind for kind in kinds if KINDS[kind].pulls is not None]
+        dropped = [kind for kind in kinds if KINDS[kind].needs_map or not (views.labels or kind in about)]
         kinds = [kind for kind in kinds if kind not in dropped]
         if dropped:
             skipped.append((f"views {', '.join(dropped)}", f"{run.name} reads no light map here", len(dropped)))

@@ -22,7 +22,7 @@ from wkernels.analysis.light_layers import chosen_layers
 from wkernels.frame.session import Session
 from wkernels.projections.clipping import ConvexBody, box_polyhedron, clip_polyhedron, frustum_planes
 from wkernels.projections.focusing import depth_range, light_body, seen_body
-from wkernels.raster import CULL_NONE, Rasteriser
+from wkernels.raster import Rasteriser
 from wkernels.scene.geometry import CASTS, Bounds
 from wkernels.scene.model import Camera
 from wkernels.scene.views import HostView, LayerChoice, ProjectiveView
@@ -209,7 +209,8 @@ class Subject:
         depth = wp.empty((layers, size, size), dtype=float, device=self.engine.device)
         rasteriser = Rasteriser(self.engine.device, self.engine.threads)
         views = [view.to_device() for view in self.views]
-        rasteriser.draw_many(self.geometry.points_ws, self.geometry.caster_indices, views, depth, cull=CULL_NONE)
+        geometry = self.geometry
+        rasteriser.draw_many(geometry.points_ws, geometry.caster_indices, views, depth, cutouts=geometry.cutouts)
         out: np.ndarray = depth.numpy().copy()
         return out
 

@@ -120,7 +120,7 @@ def test_movers_drawn_at_once_are_those_drawn_apart(device: str) -> None:
     depth = pool.depth.numpy()
     assert 0.02 < np.isfinite(depth).mean() < 0.95
     apart = allocate_pool(5, 1, 64, device)
-    painter = PoolPainter((at_once.points, at_once.indices), 64, device, None, culls=False)
+    painter = PoolPainter(at_once.casters, 64, device, None, culls=False)
     for i in range(5):
         view = box_view(points[i], box.corners, box_axes(points[0], box.corners), 64)
         assert view is not None

@@ -211,6 +211,33 @@ def test_flat_meshes_on_one_plane_share_it() -> None:
     assert sorted(names) == [["a", "b"], ["higher"]]
 
 
+def test_many_planes_are_merged_as_one_by_one() -> None:
+    """Roofs of a town: each joins the first plane that it shares, whichever way its triangles turn."""
+    rng = np.random.default_rng(4)
+    meshes = []
+    for i in range(120):
+        vertices, faces = small.plane(rng.uniform(0.5, 2.0))
+        height = rng.integers(0, 12) * 0.25 + rng.choice([0.0, 1e-9])
+        vertices = vertices + np.array([rng.uniform(-20, 20), height, rng.uniform(-20, 20)])
+        meshes.append(small.mesh(f"roof {i}", (vertices, faces[:, ::-1] if i % 2 else faces)))
+    geometry = Geometry(small.scene(meshes, LIGHTS["point"]), OPTIONS["device"])
+    extent = float(np.abs([geometry.bounds(receivers=True).low, geometry.bounds(receivers=True).high]).max())
+    expected: list[tuple[np.ndarray, list[int]]] = []
+    for i, mesh in enumerate(geometry.meshes):
+        plane = plane_of(mesh.vertices - geometry.origin_ws)
+        assert plane is not None
+        for known, members in expected:
+            weights = np.array([extent, extent, extent, 1.0])
+            if min(np.abs(known - plane) @ weights, np.abs(known + plane) @ weights) <= 1e-6 * extent:
+                members.append(i)
+                break
+        else:
+            expected.append((plane, [i]))
+    got = receiver_planes(geometry, 0, {})
+    assert [plane.meshes for plane in got] == [members for _, members in expected]
+    assert 12 <= len(got) < 120
+
+
 @pytest.mark.parametrize(
     "vertices",
     [

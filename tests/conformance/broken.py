@@ -173,6 +173,13 @@ broken(
     lambda v, frame: np.ones_like(v) if frame.light.kind == "linear" else v,
 )
 broken("every_light_kind_casts_its_shadow", "shadows elsewhere", lambda v, frame: np.roll(v, 20, axis=1))
+broken(
+    "a_cut_out_caster_shades_by_what_is_left_of_it",
+    "draws whole cards",
+    lambda v, frame: (
+        np.where(np.abs(position(frame)[..., [0, 2]]).max(axis=-1) < 1.2, 0.0, v) if frame.geometry.cutouts.count else v
+    ),
+)
 broken("equals_others_in_its_limits", "is not what it claims", limits=(Limit(equals="ray_cast_point_shadow"),))
 broken("equals_others_in_its_limits", "a shifted image", shift_one_pixel)
 broken("bias_sign_is_as_declared", "darker", lambda v, frame: v**1.5)

@@ -26,7 +26,9 @@ from rig import (
 
 from algorithms.plugins import find
 from algorithms.technique import Technique
+from experiments.schema.needs import unmet_need
 from wkernels.frame.session import FrameResult
+from wkernels.scene.cutouts import Mask
 from wkernels.scene.geometry import RECEIVES
 from wkernels.scene.lights import Light
 from wkernels.scene.model import Camera, Scene
@@ -188,6 +190,33 @@ def every_light_kind_casts_its_shadow(technique: type[Technique], device: str) -
             error = rmse(visibility, expected)
             assert error < 0.2, f"rmse {error:.3f} under {kind} at {centre}"
             assert np.corrcoef(visibility[np.isfinite(expected)], expected[np.isfinite(expected)])[0, 1] > 0.8, kind
+
+
+def checkered_card(light: Light, cut_by_texture: bool) -> Scene:
+    """Half of a card above the ground, two of four squares: cut out by a texture, or as two squares."""
+    ground = small_scenes.mesh("ground", small_scenes.plane(12.0), casts=False)
+    vertices, faces = small_scenes.plane(3.0, y=2.0, cells=2)
+    if not cut_by_texture:
+        kept = np.isin(np.arange(len(faces)) % 4, (0, 3))  # of the grid's squares, row by row, twice
+        used = np.unique(faces[kept])
+        card = small_scenes.mesh("card", (vertices[used], np.searchsorted(used, faces[kept]).astype(np.int32)))
+        return small_scenes.scene([ground, card], light)
+    whole = small_scenes.plane(3.0, y=2.0)
+    mask = Mask(whole[0][:, [0, 2]] / 3.0 + 0.5, np.eye(2), 0.5, ("clamp", "clamp"), nearest=True)
+    return small_scenes.scene([ground, small_scenes.mesh("card", whole, mask=mask)], light)
+
+
+@check()
+def a_cut_out_caster_shades_by_what_is_left_of_it(technique: type[Technique], device: str) -> None:
+    """A card that is cut out casts and receives as the squares that are left; who cannot do so refuses it."""
+    cut, squares = (checkered_card(lamp(technique), by_texture) for by_texture in (True, False))
+    if technique.needs.whole_casters or technique.needs.closed_meshes:
+        assert unmet_need(technique, cut, cut.lights[0]) is not None, "is not refused beforehand"
+        return
+    frames = frames_of(technique)
+    a, b = (render(technique, scene, device, size=(96, 72), frames=frames).visibility for scene in (cut, squares))
+    differs = ~np.isclose(a, b, atol=2e-3, equal_nan=True)
+    assert differs.mean() <= 0.006, f"{differs.mean():.4f} of the pixels differ from those of two squares"
 
 
 @check(lambda technique: bool(technique.limits))

@@ -44,11 +44,13 @@ def whole(files: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_all_pictures_are_there_and_the_report_shows_them(whole: Path) -> None:
     store = Store(whole)
-    names = {name for kind in KINDS for name in picture_names(kind, ["det"])}
+    names = {name for kind in KINDS if KINDS[kind].pulls is None for name in picture_names(kind, ["det"])}
     assert {name for name, frame in store.pictures("shadow_map")} == names and len(names) == 16
     assert not store.pictures("ray_cast_point_shadow")
     rows = [row for row in store.rows("left_out") if row["what"].startswith("views ")]
-    assert [row["label"] for row in rows] == ["ray_cast_point_shadow"] and "reads no light map" in rows[0]["reason"]
+    mapless = [row["label"] for row in rows if "reads no light map" in row["reason"]]
+    foreign = {row["label"] for row in rows if row["what"] == "views silhouettes"}
+    assert mapless == ["ray_cast_point_shadow"] and foreign == {"shadow_map", "ray_cast_point_shadow"}
     page = (whole / "report.html").read_text()
     assert page.count("<figcaption>") >= 16 and "shadow_map, light views, frame 0" in page
     for name in names:
@@ -93,10 +95,25 @@ def test_a_picture_that_fails_is_recorded_and_costs_nothing_else(
 def test_a_label_without_a_map_has_pictures_where_it_is_asked_for(files: Path, tmp_path: Path) -> None:
     changes = ["techniques=[ray_cast_point_shadow]", "views.labels=[ray_cast_point_shadow]"]
     store = Store(run(load_experiment(files / "box.yaml", changes), tmp_path / "out", report=False))
-    mapless = {name for kind in KINDS if not KINDS[kind].needs_map for name in picture_names(kind, [])}
+    mapless = {
+        name
+        for kind in KINDS
+        if not KINDS[kind].needs_map and KINDS[kind].pulls is None
+        for name in picture_names(kind, [])
+    }
     assert {name for name, _ in store.pictures("ray_cast_point_shadow")} == mapless and len(mapless) == 4
-    (row,) = (row for row in store.rows("left_out") if row["what"].startswith("views "))
-    assert int(row["count"]) == len(KINDS) - 3
+    rows = [row for row in store.rows("left_out") if row["what"].startswith("views ")]
+    (row,) = (row for row in rows if "no light map" in row["reason"])
+    assert int(row["count"]) == len(KINDS) - 4  # silhouettes, which it does not pull, have a row of their own
+
+
+def test_silhouettes_are_of_those_that_pull_them(files: Path, tmp_path: Path) -> None:
+    changes = ["techniques=[shadow_map, shadow_volume_zfail, penumbra_maps]", "views.kinds=[silhouettes]"]
+    store = Store(run(load_experiment(files / "box.yaml", changes), tmp_path / "out", report=False))
+    names = {label: [name for name, _ in store.pictures(label)] for label in ("shadow_volume_zfail", "penumbra_maps")}
+    assert names == {label: ["silhouettes_eye", "silhouettes_third"] for label in names}
+    (row,) = (row for row in store.rows("left_out") if row["what"] == "views silhouettes")
+    assert "shadow_map pulls none" in row["reason"] and not list(store.pictures("shadow_map"))
 
 
 def test_kinds_are_named_once(files: Path) -> None:

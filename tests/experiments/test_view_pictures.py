@@ -11,11 +11,12 @@ from scipy.spatial import Delaunay
 from view_subjects import make, write_configs
 
 from experiments.results.images import ERROR_SCALE, error_view
-from experiments.views import error_plot, light_maps, render, space, surfaces
+from experiments.views import error_plot, light_maps, render, silhouettes, space, surfaces
 from experiments.views.bodies import edges
 from experiments.views.lines import project, to_pixels
 from experiments.views.subject import Subject
 from experiments.views.texels import jacobians, map_positions, sampling_rate
+from wkernels.casters.pulls import pull_silhouettes
 
 
 @pytest.fixture(scope="module")
@@ -145,6 +146,23 @@ def test_the_difference_is_that_to_the_reference_or_to_rays(box: Subject, files:
     assert set(np.unique(rays[known])) == {0.0, 1.0} and (rays[known] != visibility[known]).mean() < 0.1
     bar = surfaces.difference(box, "third").legend[0]
     assert ERROR_SCALE in bar.label  # type: ignore[union-attr]
+
+
+# ---- silhouettes ----
+
+
+def test_silhouettes_lie_where_lit_faces_meet_others(files: Path) -> None:
+    """Of a box under a slanting light: six edges in one loop, seen through what hides them in dashes."""
+    subject = make(files, "box", "techniques=[shadow_volume_zfail]", "scene.meshes.0.casts=false")
+    shot = subject.shot("third")
+    sheet = silhouettes.silhouettes(subject, "third")
+    assert "6 of the casters' edges" in sheet.notes[0] and "1 loops" in sheet.notes[0]
+    changed = np.abs(picture(sheet) - surfaces.base(shot)).max(axis=-1) > 0.1
+    found = pull_silhouettes(subject.session, subject.geometry, subject.session.light.centre)
+    ends = subject.geometry.points_ws.numpy()[found.ends].astype(float)
+    pixels = to_pixels(shot.view, project(shot.view, ends.mean(axis=1))).astype(int)
+    assert np.mean([changed[y - 1 : y + 2, x - 1 : x + 2].any() for x, y in pixels]) > 0.6
+    assert changed.mean() < 0.3
 
 
 # ---- in space ----

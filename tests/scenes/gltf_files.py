@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 _KINDS = {"f": 5126, "u": 5125}
-_SHAPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+_SHAPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 
 
 class GltfFile:
@@ -77,6 +77,15 @@ class GltfFile:
         self.json["extensionsUsed"] = ["KHR_lights_punctual"]
         lights.append(keys)
         return {"KHR_lights_punctual": {"light": len(lights) - 1}}
+
+    def masked(self, image: bytes, **material: Any) -> int:
+        """Index of a material of alphaMode MASK whose texture, taken without interpolation, is a PNG in the buffer."""
+        self.json["bufferViews"].append({"buffer": 0, **self.bytes_of(image)})
+        image_index = self._add("images", {"bufferView": len(self.json["bufferViews"]) - 1, "mimeType": "image/png"})
+        sampler = self._add("samplers", {"magFilter": 9728, "wrapS": 33071, "wrapT": 33071})
+        texture = self._add("textures", {"source": image_index, "sampler": sampler})
+        surface = {"baseColorTexture": {"index": texture}}
+        return self._add("materials", {"alphaMode": "MASK", "pbrMetallicRoughness": surface, **material})
 
     def animate(self, *tracks: tuple[int, str, Any, Any], kind: str = "LINEAR", name: str = "go") -> None:
         """An animation of tracks (node, path, times, values)."""

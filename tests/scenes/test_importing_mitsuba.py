@@ -145,6 +145,12 @@ def test_focal_length_is_of_35_mm_film(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*city.xml")
+def test_scenes_of_version_2_are_those_of_version_3(tmp_path: Path) -> None:
+    new = load_scene(write(tmp_path, SCENE))
+    assert load_scene(write(tmp_path, SCENE.replace("3.0.0", "2.1.0"))).content_hash == new.content_hash
+
+
+@pytest.mark.filterwarnings("ignore:.*city.xml")
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -23,26 +24,45 @@ class Components:
     high: np.ndarray
     outward: np.ndarray
 
+    @cached_property
+    def middle(self) -> np.ndarray:
+        """float64 (C, 3), middles of the boxes."""
+        return 0.5 * (self.low + self.high)
 
-def find_components(points_ws: np.ndarray, adjacency: Adjacency) -> Components:
+    @cached_property
+    def half(self) -> np.ndarray:
+        """float64 (C, 3), half their extents."""
+        return 0.5 * (self.high - self.low)
+
+
+def find_components(points_ws: np.ndarray, adjacency: Adjacency, outward: np.ndarray | None = None) -> Components:
     """Boxes and orientations of all components.
 
     Args:
         points_ws: float (V, 3), the vertices of the adjacency.
         adjacency: Of the casters.
+        outward: Orientations that are known from another pose; motions keep them.
     """
-    count = len(adjacency.component_closed)
-    if count == 0:
+    if len(adjacency.component_closed) == 0:
         return Components(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, bool))
-    faces, begin = adjacency.faces_by_component
-    corners = points_ws[adjacency.faces[faces]]  # (n, 3 corners, 3)
-    low = np.minimum.reduceat(corners.min(axis=1), begin[:-1]).astype(np.float64)
-    high = np.maximum.reduceat(corners.max(axis=1), begin[:-1]).astype(np.float64)
-    # volumes about each component's own middle, as far-off ones would be differences of large numbers
+    vertices, begin = adjacency.vertices_by_component
+    places = points_ws[vertices]
+    low = np.minimum.reduceat(places, begin[:-1]).astype(np.float64)
+    high = np.maximum.reduceat(places, begin[:-1]).astype(np.float64)
+    if outward is None:
+        outward = _volumes(points_ws, adjacency, 0.5 * (low + high)) > 0.0
+    return Components(low, high, outward)
+
+
+def _volumes(points_ws: np.ndarray, adjacency: Adjacency, middle: np.ndarray) -> np.ndarray:
+    """Six times the signed volume of each component, (C,).
+
+    About each one's own ``middle`` (C, 3), as volumes about a point far away are small differences of large numbers.
+    """
+    faces, _ = adjacency.faces_by_component
     owner = adjacency.component[faces]
-    a, b, c = np.moveaxis(corners - (0.5 * (low + high))[owner][:, None], 1, 0)
-    volume = np.bincount(owner, np.einsum("ij,ij->i", a, np.cross(b, c)), minlength=count)
-    return Components(low, high, volume > 0.0)
+    a, b, c = np.moveaxis(points_ws[adjacency.faces[faces]] - middle[owner][:, None], 1, 0)
+    return np.bincount(owner, np.einsum("ij,ij->i", a, np.cross(b, c)), minlength=len(middle))
 
 
 def holding(components: Components, adjacency: Adjacency, points_ws: np.ndarray, light_ws: np.ndarray) -> np.ndarray:

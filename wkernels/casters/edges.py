@@ -106,6 +106,14 @@ class Adjacency:
         begin = np.searchsorted(self.component[order], np.arange(len(self.component_closed) + 1))
         return order[begin[0] :], (begin - begin[0]).astype(np.int32)
 
+    @cached_property
+    def vertices_by_component(self) -> tuple[np.ndarray, np.ndarray]:
+        """The same of the vertices of these faces, each once for each component that it is in."""
+        faces, _ = self.faces_by_component
+        key = np.unique(np.repeat(self.component[faces].astype(np.int64), 3) << 32 | self.faces[faces].ravel())
+        begin = np.searchsorted(key >> 32, np.arange(len(self.component_closed) + 1))
+        return (key & 0xFFFFFFFF).astype(np.int32), begin.astype(np.int32)
+
     def sum_at_edges(self, values: np.ndarray) -> np.ndarray:
         """Sums over the faces of each edge, (E,), of ``values`` (S,)."""
         return np.add.reduceat(values, self.edge_begin[:-1], dtype=np.int32) if len(self.edges) else np.zeros(0, int)

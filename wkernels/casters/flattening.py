@@ -242,7 +242,11 @@ class Flattener:
 
         Returns:
             Triangles that had to be cut.
+
+        Raises:
+            InputError: A caster is cut out by a texture.
         """
+        geometry.require_whole("flattened casters")
         scratch, count, vertices = self._scratch, geometry.caster_triangles, len(geometry.points_ws)
         points, indices = geometry.points_ws, geometry.caster_indices
         on_device, light = wp.vec4(*plane), wp.vec4(*light_ws)

@@ -24,7 +24,8 @@ from wkernels.workspace.workspace import Workspace
 
 
 def pull_edges(work: Workspace, geometry: Geometry) -> Adjacency:
-    """``caster_edges``, built once."""
+    """``caster_edges``, built once; raises InputError where a caster is cut out by a texture."""
+    geometry.require_whole("silhouettes and shadow volumes")
     out: Adjacency = work.product(Product.CASTER_EDGES, "caster edges", geometry, lambda old: caster_edges(geometry))
     return out
 
@@ -34,7 +35,7 @@ def pull_components(work: Workspace, geometry: Geometry) -> Components:
     adjacency = pull_edges(work, geometry)
 
     def build(old: Components | None) -> Components:
-        return find_components(geometry.points_ws.numpy(), adjacency)
+        return find_components(geometry.points_ws.numpy(), adjacency, old.outward if old else None)
 
     inputs = (adjacency, geometry.version)
     out: Components = work.product("caster components", "caster components", inputs, build)

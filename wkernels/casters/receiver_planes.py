@@ -6,8 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from wkernels.raster.gbuffer import GBuffer
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.model import Mesh
+from wkernels.workspace.left_out import Omission
+from wkernels.workspace.workspace import Workspace
 
 PLANAR_TOLERANCE = 1e-6
 """Of a mesh's extent: how far its vertices may lie off one plane."""
@@ -59,6 +62,7 @@ def receiver_planes(geometry: Geometry, frame: int, own_planes: dict[int, np.nda
     """
     extent = extent_of(geometry)
     planes: list[ReceiverPlane] = []
+    known = np.empty((len(geometry.meshes), 4))  # a city has thousands, which are compared all at once
     for i, mesh in enumerate(geometry.meshes):
         if not mesh.receives:
             continue
@@ -67,13 +71,14 @@ def receiver_planes(geometry: Geometry, frame: int, own_planes: dict[int, np.nda
         plane = _placed(own_planes[i], mesh, frame, geometry.origin_ws)
         if plane is None:
             continue
-        for known in planes:
-            side = np.sign(known.plane[:3] @ plane[:3])
-            apart = np.abs(known.plane - side * plane)
-            if apart[:3].sum() * extent + apart[3] <= SAME_PLANE * extent:
-                known.meshes.append(i)
-                break
+        others = known[: len(planes)]
+        side = np.sign(others[:, :3] @ plane[:3])
+        apart = np.abs(others - side[:, None] * plane)
+        same = np.flatnonzero(apart[:, :3].sum(axis=1) * extent + apart[:, 3] <= SAME_PLANE * extent)
+        if len(same):
+            planes[same[0]].meshes.append(i)
         else:
+            known[len(planes)] = plane
             planes.append(ReceiverPlane(plane, [i]))
     return planes
 
@@ -85,6 +90,38 @@ def _placed(plane: np.ndarray | None, mesh: Mesh, frame: int, origin_ws: np.ndar
     normal = np.linalg.solve(pose[:3, :3].T, plane[:3])
     offset = plane[3] - normal @ pose[:3, 3] + normal @ origin_ws
     return np.append(normal, offset) / np.linalg.norm(normal)
+
+
+def pull_planes(
+    work: Workspace, geometry: Geometry, frame: int, gbuffer: GBuffer, unseen: Omission, flat_none: Omission
+) -> list[tuple[int, ReceiverPlane]]:
+    """Numbered planes at a frame, found anew when something has moved; without those that no pixel shows.
+
+    Args:
+        work: Keeps them.
+        geometry: Gives the meshes.
+        frame: Index of the frame.
+        gbuffer: What the eye sees.
+        unseen: What is left out where no pixel shows a plane.
+        flat_none: What is told where there is none at all.
+    """
+
+    def build(old: tuple | None) -> tuple:
+        own_planes = old[1] if old else {}
+        return receiver_planes(geometry, frame, own_planes), own_planes
+
+    planes = work.product("receiver planes", "receiver planes", geometry.version, build)[0]
+    if not planes:
+        work.tell(flat_none)
+    numbered = list(enumerate(planes))
+    if len(numbered) > 1 and work.may_leave_out(unseen):
+        mesh = gbuffer.mesh.numpy()
+        shown = set(np.flatnonzero(np.bincount(mesh[mesh >= 0], minlength=1)))
+        seen = [(number, plane) for number, plane in numbered if shown.intersection(plane.meshes)]
+        if len(seen) < len(numbered):
+            work.leave_out(unseen, count=len(numbered) - len(seen))
+        numbered = seen
+    return numbered
 
 
 def turned_to_light(plane: np.ndarray, light_ws: np.ndarray, extent: float) -> np.ndarray | None:

@@ -3,7 +3,7 @@
 The faces that count are turned to the light; the silhouette is their border as a chain: an edge's weight is how many of
 them run along it one way less how many run the other way. A border has no end, so that every volume that is swept
 from it closes, whatever the mesh: at open edges, where three faces meet, and where faces are turned over or repeated
-(Kim, Kim and Yoon 2008). Of closed components only lit faces count, which gives weight 1; of others both sides do, so
+(Kim, Kim and Turk 2008). Of closed components only lit faces count, which gives weight 1; of others both sides do, so
 that open edges always belong to it and folds have weight 2. It is the depth complexity that changes by the weight
 across the edge (Laine et al. 2005).
 """

@@ -32,10 +32,11 @@ VolumeRule = Literal["zpass", "zfail", "per_caster"]
 SLACK = 1e-5  # share of distances: some hundred float32 roundings
 
 
-class UnseenVolumes(Omission):
-    """What a view saves."""
+class Uncounted(Omission):
+    """What a view saves, and what z-pass cannot do."""
 
     BESIDE = "shadow volumes of casters", "they lie beside the view"
+    AT_EYE = "entries into volumes that the eye may be in", "z-pass takes the near plane for lit"
 
 
 @wp.kernel
@@ -65,8 +66,9 @@ def count_volumes(
         gbuffer: What the eye sees; of all casters too.
         eye: The view that it was drawn through.
         light_ws: Light point (4,), float64, rebased world; w = 1, or 0 for a direction.
-        rule: ``zpass``, of no meaning where the eye is in a volume; ``zfail``; or, ``per_caster``, z-pass for casters
-            (connected components) of which it is certain that nothing of their volumes lies at the near plane.
+        rule: ``zpass``, of no meaning where the eye is in a volume, which is told where it may be; ``zfail``; or,
+            ``per_caster``, z-pass for casters (connected components) of which it is certain that nothing of their
+            volumes lies at the near plane.
         slot: Which of several light points this is.
 
     Returns:
@@ -76,14 +78,15 @@ def count_volumes(
     volumes = pull_volumes(work, geometry, silhouettes, light_ws, slot=slot)
     components = pull_components(work, geometry)
     seen = np.ones(len(components.low), bool)
-    if work.may_leave_out(UnseenVolumes.BESIDE):
+    if work.may_leave_out(Uncounted.BESIDE):
         seen = may_be_seen(components, eye, light_ws)
         if not seen.all():
-            work.leave_out(UnseenVolumes.BESIDE, count=int((~seen).sum()))
-    passing = seen if rule == "zpass" else np.zeros_like(seen)
-    if rule == "per_caster":
-        passing = seen & ~may_hold_near_plane(components, eye, light_ws)
-    failing = seen & ~passing
+            work.leave_out(Uncounted.BESIDE, count=int((~seen).sum()))
+    at_eye = seen if rule == "zfail" else seen & may_hold_near_plane(components, eye, light_ws)
+    if rule == "zpass" and at_eye.any():
+        work.tell(Uncounted.AT_EYE, count=lambda: int(at_eye.sum()))
+    failing = np.zeros_like(seen) if rule == "zpass" else at_eye
+    passing = seen & ~failing
     shape = gbuffer.depth.shape
     total, part = (work.buffer(f"{name} of volumes", shape, wp.int32) for name in ("counts", "some counts"))
     counted = False
@@ -108,13 +111,6 @@ def count_volumes(
     return total
 
 
-def _corners(components: Components) -> np.ndarray:
-    """Corners of all boxes, (C, 8, 3)."""
-    both = np.stack([components.low, components.high], axis=1)  # (C, 2, 3)
-    pick = np.indices((2, 2, 2)).reshape(3, 8).T
-    return both[:, pick, np.arange(3)]
-
-
 def may_be_seen(components: Components, eye: HostView, light_ws: np.ndarray) -> np.ndarray:
     """Whether any of what lies behind a component's box may be in a view, bool (C,); false is certain.
 
@@ -123,14 +119,13 @@ def may_be_seen(components: Components, eye: HostView, light_ws: np.ndarray) -> 
         eye: The view; its far plane does not count.
         light_ws: Light point (4,).
     """
-    corners = _corners(components)
-    ways = corners * light_ws[3] - light_ws[:3]
-    out = np.ones(len(corners), bool)
+    centre, half = components.middle, components.half
+    out = np.ones(len(centre), bool)
     for plane in frustum_planes(eye.ws_to_ss, eye.near, eye.far)[:5]:
-        distance = corners @ plane[:3] + plane[3]
-        slack = SLACK * (np.abs(corners) @ np.abs(plane[:3]) + abs(plane[3]))
-        # all corners beyond one plane, and carried away from it
-        out &= ~((distance < -slack) & (ways @ plane[:3] <= 0.0)).all(axis=1)
+        highest = centre @ plane[:3] + half @ np.abs(plane[:3])
+        slack = SLACK * (np.abs(centre) @ np.abs(plane[:3]) + half @ np.abs(plane[:3]) + abs(plane[3]))
+        # all of it is beyond one plane, and carried away from it
+        out &= ~((highest + plane[3] < -slack) & (highest * light_ws[3] <= light_ws[:3] @ plane[:3]))
     return out
 
 
@@ -146,14 +141,14 @@ def may_hold_near_plane(components: Components, eye: HostView, light_ws: np.ndar
         light_ws: Light point (4,).
     """
     hull = near_hull(eye, light_ws)
+    centre, half = components.middle, components.half
     size = np.abs(hull).max()
-    slack = SLACK * (np.maximum(np.abs(components.low), np.abs(components.high)).max(axis=1, initial=0.0) + size)
+    slack = SLACK * ((np.abs(centre) + half).max(axis=1, initial=0.0) + size)
     apart = np.zeros(len(components.low), bool)
     for axis in range(3):
         for side, border in ((1.0, components.high), (-1.0, components.low)):
             beyond = side * (hull[:, axis] - border[:, axis, None] * hull[:, 3])
             apart |= (beyond >= slack[:, None] * hull[:, 3]).all(axis=1)
-    centre, half = 0.5 * (components.low + components.high), 0.5 * (components.high - components.low)
     for a, b, c in ((0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4), (0, 1, 2)):
         point = hull[a, :3]
         normal = np.cross(hull[b, :3] - point, hull[c, :3] - point * hull[c, 3])

@@ -55,19 +55,21 @@ class EdgeSet:
     too_many: bool
 
 
-def pull_edge_set(work: Workspace, geometry: Geometry, light: Light) -> EdgeSet:
-    """``find_edge_set``, anew where the light or a caster has moved."""
+def pull_edge_set(work: Workspace, geometry: Geometry, light: Light, tree: CasterTree) -> EdgeSet:
+    """``find_edge_set``, anew where the light or a caster has moved; ``tree`` is that of the casters."""
     adjacency = pull_edges(work, geometry)
 
     def build(old: EdgeSet | None) -> EdgeSet:
-        return find_edge_set(work, geometry.points_ws, adjacency, light)
+        return find_edge_set(work, geometry.points_ws, adjacency, light, tree.order.numpy())
 
     inputs = (adjacency, geometry.version, light.kind, hull_for_paths(light).tobytes())
     out: EdgeSet = work.product("potential silhouettes", "potential silhouettes", inputs, build)
     return out
 
 
-def find_edge_set(work: Workspace, points_ws: wp.array, adjacency: Adjacency, light: Light) -> EdgeSet:
+def find_edge_set(
+    work: Workspace, points_ws: wp.array, adjacency: Adjacency, light: Light, order_of_faces: np.ndarray
+) -> EdgeSet:
     """The edges of some casters as a light with an area needs them.
 
     Args:
@@ -75,6 +77,7 @@ def find_edge_set(work: Workspace, points_ws: wp.array, adjacency: Adjacency, li
         points_ws: vec3 (V,), rebased world.
         adjacency: Of the casters.
         light: Rebased world.
+        order_of_faces: int32 (T,), of the casters' own tree.
     """
     points, device = points_ws.numpy(), work.device
     faces = adjacency.faces
@@ -91,14 +94,12 @@ def find_edge_set(work: Workspace, points_ws: wp.array, adjacency: Adjacency, li
     face = np.where(held, adjacency.edge_faces[side], -1)
     turns = np.where(held, adjacency.edge_turns[side], 0).astype(np.float32)
     ends = adjacency.edges[edge]
-    order_of = CasterTreeBuilder(
-        points_ws,
-        wp.array(np.ascontiguousarray(ends[:, [0, 1, 1]].astype(np.int32).ravel()), dtype=int, device=device),
-        len(ends),
-        device,
-        work.threads,
-    )
-    order = order_of.order
+    rank = np.empty(len(faces), np.int64)
+    rank[order_of_faces] = np.arange(len(faces))
+    # edges are as near to each other as their first faces
+    order = np.argsort(rank[adjacency.edge_faces[side[:, 0]]], kind="stable").astype(np.int32)
+    corners_of_edges = wp.array(np.ascontiguousarray(ends[:, [0, 1, 1]], np.int32).ravel(), dtype=int, device=device)
+    tree = CasterTreeBuilder(points_ws, corners_of_edges, len(ends), device, work.threads, order=order).tree
     sorted_faces = face[order]
     out = PotentialEdges()
     out.a_ws, out.b_ws = (wp.array(points[ends[order, i]].reshape(-1, 3), dtype=wp.vec3, device=device) for i in (0, 1))
@@ -111,7 +112,7 @@ def find_edge_set(work: Workspace, points_ws: wp.array, adjacency: Adjacency, li
     out.count = len(ends)
     pierced = points[faces[piercing]].reshape(-1, 3)
     return EdgeSet(
-        out, order_of.tree, wp.array(pierced, dtype=wp.vec3, device=device), int(piercing.sum()) > MOST_PIERCING
+        out, tree, wp.array(pierced, dtype=wp.vec3, device=device), int(piercing.sum()) > MOST_PIERCING
     )
 
 

@@ -22,6 +22,7 @@ from wkernels.raster.gbuffer import GBuffer
 from wkernels.rays.caster_tree import CasterTree
 from wkernels.rays.light_proofs import LightHull
 from wkernels.rays.light_samples import LightSamples
+from wkernels.rays.ray_casters import RayCasters
 from wkernels.rays.shaft_rays import BATCH, BEFORE_SAMPLE, SampleBatches, cross_unfused, trace_shafts
 from wkernels.rays.single_rays import is_occluded, ray_origin
 from wkernels.scene.geometry import CASTS, RECEIVES
@@ -74,7 +75,7 @@ def trace_edges(
     hull: LightHull,
     samples: SampleBatches,
     piercing_ws: wp.array(dtype=wp.vec3),
-    casters: wp.uint64,
+    casters: RayCasters,
     visibility_out: wp.array2d(dtype=float),
     way_out: wp.array2d(dtype=int),
     edges_out: wp.array2d(dtype=int),
@@ -309,7 +310,7 @@ def trace_silhouettes(
     gbuffer: GBuffer,
     known: EdgeSet,
     tree: CasterTree,
-    casters: wp.uint64,
+    casters: RayCasters,
     samples: LightSamples,
     light: Light,
     hull: LightHull,
@@ -322,7 +323,7 @@ def trace_silhouettes(
         gbuffer: The receivers.
         known: Of casters and light, ``pull_edge_set``.
         tree: The casters for many rays.
-        casters: The casters for single rays; not 0.
+        casters: The casters for single rays.
         samples: Points of the light.
         light: A light with an area, rebased world.
         hull: Its hull.

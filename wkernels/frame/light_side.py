@@ -25,6 +25,7 @@ from wkernels.raster import CULL_NONE
 from wkernels.rays.caster_tree import CasterTree, CasterTreeBuilder
 from wkernels.rays.light_proofs import LightHull, light_hull
 from wkernels.rays.light_samples import LightSamples
+from wkernels.rays.ray_casters import RayCasterBuilder, RayCasters, no_ray_casters
 from wkernels.sampling.point_sets import light_set
 from wkernels.scene.geometry import Bounds, Geometry
 from wkernels.scene.light_motion import FrameLights
@@ -106,19 +107,21 @@ class LightSide(EyeSide):
         samples: LightSamples = self.product(Product.LIGHT_SAMPLES, ("samples", kind, count), inputs, build)
         return samples
 
-    def caster_mesh(self) -> wp.uint64:
-        """Id of the casters' triangles for ray queries; 0 where nothing casts."""
-        if self.geometry.caster_triangles == 0:
-            return wp.uint64(0)
+    def caster_mesh(self) -> RayCasters:
+        """The casters' triangles for single rays."""
+        geometry = self.geometry
+        if geometry.caster_triangles == 0:
+            return no_ray_casters(self.device)
 
-        def build(old: wp.Mesh | None) -> wp.Mesh:
+        def build(old: RayCasterBuilder | None) -> RayCasterBuilder:
             if old is None:
-                return wp.Mesh(points=self.geometry.points_ws, indices=self.geometry.caster_indices)
+                cutouts, casters = geometry.cutouts, geometry.caster_indices
+                return RayCasterBuilder(geometry.points_ws, casters, cutouts, self.device, self.threads)
             old.refit()
             return old
 
-        mesh: wp.Mesh = self.product(Product.RAY_STRUCTURE, "casters", self.geometry.version, build)
-        return mesh.id
+        builder: RayCasterBuilder = self.product(Product.RAY_STRUCTURE, "casters", geometry.version, build)
+        return builder.casters
 
     def caster_tree(self) -> CasterTree:
         """The casters' triangles as a tree of boxes, for all rays of a receiver at once."""
@@ -126,9 +129,9 @@ class LightSide(EyeSide):
         def build(old: CasterTreeBuilder | None) -> CasterTreeBuilder:
             if old is None:
                 geometry = self.geometry
-                return CasterTreeBuilder(
-                    geometry.points_ws, geometry.caster_indices, geometry.caster_triangles, self.device, self.threads
-                )
+                casters, count = geometry.caster_indices, geometry.caster_triangles
+                options: dict[str, Any] = {"threads": self.threads, "cutouts": geometry.cutouts}
+                return CasterTreeBuilder(geometry.points_ws, casters, count, self.device, **options)
             old.refit()
             return old
 

@@ -59,7 +59,11 @@ def find_hidden(
         gbuffer: The pixels.
         resolution: Cells per side of the grid of each of the light's faces, 1 to 4096.
         visibility_out: float32 (H, W), 1 where there is no receiver.
+
+    Raises:
+        InputError: A caster is cut out by a texture.
     """
+    geometry.require_whole("irregular z-buffers")
     receivers = geometry.bounds(receivers=True)
     if receivers.empty:
         visibility_out.fill_(1.0)

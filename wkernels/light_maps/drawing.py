@@ -137,6 +137,7 @@ class Drawing:
             drawing=drawing,
             everything=self.everything,
             drawn=finish,
+            cutouts=geometry.cutouts,
         )
 
 

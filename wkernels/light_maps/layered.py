@@ -118,7 +118,8 @@ def draw_layered_map(
 
         images = [own[layer] for own in depths]
         owners = [triangle] * peels if faces else None
-        rasteriser.peel(geometry.points_ws, indices, view.to_device(), images, owners, drawing.cull, finish)
+        points, cutouts = geometry.points_ws, geometry.cutouts
+        rasteriser.peel(points, indices, view.to_device(), images, owners, drawing.cull, finish, cutouts=cutouts)
     return out
 
 
@@ -139,7 +140,8 @@ class LostPeels(NamedTuple):
 def count_lost(drawing: Drawing, views: Sequence[HostView], peels: int) -> LostPeels:
     """Counts the surfaces that a layered map of these views has no room for.
 
-    Surfaces at one depth count one by one here, and so do those beyond the far plane.
+    Surfaces at one depth count one by one here, and so do those beyond the far plane, and whole cards whose leaves
+    alone are there.
 
     Args:
         drawing: As for ``draw_layered_map``.

@@ -12,6 +12,7 @@ threads.
 - ``counting``, ``lane_counting``: how often pixels are covered, on the same three; ``homogeneous``: by triangles that
   reach to infinity;
 - ``triangles``, ``clipping``: projection, clipping, coverage and depth functions that they share;
+- ``cut_triangles``: those that are cut out by a texture are drawn plainly, over the others;
 - ``binning``: convex shapes in lists per tile of pixels, for kernels that are not about depth.
 """
 
@@ -28,6 +29,7 @@ from wkernels.device.launch import wake_workers
 from wkernels.errors import InputError
 from wkernels.raster.blocks import MAX_VIEWS, TriangleBlocks
 from wkernels.raster.counting import COUNT_ALL, COUNT_FARTHER, COUNT_NEARER, Counted, count_plainly
+from wkernels.raster.cut_triangles import CutTriangles
 from wkernels.raster.homogeneous import project_homogeneous
 from wkernels.raster.lane_counting import LaneCounter
 from wkernels.raster.lane_target import PIECE, DepthKey
@@ -46,6 +48,7 @@ from wkernels.raster.triangles import (
     project_vertices,
     to_homogeneous_pixels,
 )
+from wkernels.scene.cutouts import Cutouts
 from wkernels.scene.views import View
 
 __all__ = [
@@ -80,6 +83,7 @@ class Rasteriser:
         self.device, self.threads, self.path = device, threads, path
         self._scratch = Scratch(device, threads)
         self._lanes = LaneRasteriser(self._scratch)
+        self._cut = CutTriangles()
         self._counter = LaneCounter(Scratch(device, threads))  # either holds the corners of its own triangles
 
     def draw(
@@ -90,6 +94,8 @@ class Rasteriser:
         depth_out: wp.array,
         triangle_out: wp.array | None = None,
         cull: int = CULL_NONE,
+        *,
+        cutouts: Cutouts | None = None,
     ) -> None:
         """Clears the targets and draws all triangles.
 
@@ -101,12 +107,20 @@ class Rasteriser:
                 there is none.
             triangle_out: int32 (H, W): its triangle, -1 where there is none.
             cull: CULL_NONE, CULL_BACK or CULL_FRONT, as seen from the view (counter-clockwise is front).
+            cutouts: Of the vertices: where triangles are not there, asked at pixel centres.
         """
         wake_workers(self.device, self.threads)
-        if (key := self._lane_key(indices, view, depth_out, triangle_out)) is not None:
-            self._lanes.draw(points_ws, indices, view, key, depth_out, triangle_out, cull)
+        cuts = cutouts is not None and self._cut.any(indices, cutouts)
+        if (key := self._lane_key(indices, view, depth_out, triangle_out)) is None:
+            triangles, total = self._project(points_ws, indices, view, cull, cutouts if cuts else None)
+            self._draw_plainly(triangles, total, depth_out, triangle_out)
             return
-        self._draw_plainly(*self._project(points_ws, indices, view, cull), depth_out, triangle_out)
+        whole, cut = self._cut.split(indices, cutouts) if cutouts is not None and cuts else (indices, None)
+        self._lanes.draw(points_ws, whole, view, key, depth_out, triangle_out, cull)
+        if cut is not None:
+            triangles, total = self._project(points_ws, cut, view, cull, cutouts)
+            triangles.over = 1
+            self._draw_plainly(triangles, total, depth_out, triangle_out)
 
     def peel(
         self,
@@ -117,6 +131,8 @@ class Rasteriser:
         triangle_out: Sequence[wp.array] | None = None,
         cull: int = CULL_NONE,
         drawn: Callable[[int], None] = lambda peel: None,
+        *,
+        cutouts: Cutouts | None = None,
     ) -> None:
         """Draws the nearest surfaces of each pixel, one after the other (depth peeling: Everitt 2001).
 
@@ -132,13 +148,15 @@ class Rasteriser:
             cull: CULL_NONE, CULL_BACK or CULL_FRONT, as seen from the view.
             drawn: Called with the number of each when its images are complete; one of ``triangle_out`` may then be
                 the next one's too.
+            cutouts: As for ``draw``. Where some triangle is cut out the first are those of ``draw`` to rounding.
         """
         wake_workers(self.device, self.threads)
         owners = triangle_out or [None] * len(depth_out)
-        if (key := self._lane_key(indices, view, depth_out[0], owners[0])) is not None:
+        cut = cutouts if cutouts is not None and self._cut.any(indices, cutouts) else None
+        if cut is None and (key := self._lane_key(indices, view, depth_out[0], owners[0])) is not None:
             draw = self._lanes.peeler(points_ws, indices, view, key, depth_out[0], cull)
         else:
-            triangles, total = self._project(points_ws, indices, view, cull)
+            triangles, total = self._project(points_ws, indices, view, cull, cut)
             draw = partial(self._peel_plainly, triangles, total)
         left = True
         for peel, (depth, owner) in enumerate(zip(depth_out, owners, strict=True)):
@@ -164,6 +182,7 @@ class Rasteriser:
         drawing: str = "passes",
         everything: bool = False,
         drawn: Callable[[int], None] = lambda layer: None,
+        cutouts: Cutouts | None = None,
     ) -> int:
         """Draws the same triangles into many views, the same bits as ``draw`` into each.
 
@@ -180,15 +199,17 @@ class Rasteriser:
                 two need ``blocks``; what follows the culling is done view by view there too.
             everything: Whether nothing is left out all the same.
             drawn: Called with a layer's number when it is complete.
+            cutouts: As for ``draw``. Where some triangle is cut out, views are drawn one after the other, whole.
 
         Returns:
             How many pairs of a block and a view were left out.
         """
         layers = range(len(views))
         owners = [None if triangle_out is None else triangle_out[layer] for layer in layers]
-        if blocks is None or len(indices) < 3 or not views:
+        cuts = cutouts is not None and self._cut.any(indices, cutouts)
+        if blocks is None or cuts or len(indices) < 3 or not views:
             for layer in layers:
-                self.draw(points_ws, indices, views[layer], depth_out[layer], owners[layer], cull)
+                self.draw(points_ws, indices, views[layer], depth_out[layer], owners[layer], cull, cutouts=cutouts)
                 drawn(layer)
             return 0
         wake_workers(self.device, self.threads)
@@ -295,12 +316,16 @@ class Rasteriser:
         lanes = self.path == "lanes" and wp.get_device(self.device).is_cpu and fits
         return depth_key(view) if lanes else None
 
-    def _project(self, points_ws: wp.array, indices: wp.array, view: View, cull: int) -> tuple[ScreenTriangles, int]:
+    def _project(
+        self, points_ws: wp.array, indices: wp.array, view: View, cull: int, cutouts: Cutouts | None = None
+    ) -> tuple[ScreenTriangles, int]:
         scratch, count = self._scratch, len(indices) // 3
         out = ScreenTriangles()
         out.screen = scratch.array("screen", (len(points_ws),), wp.vec4)
         out.indices, out.count = indices, count
         out.width, out.height, out.far, out.cull = view.width, view.height, view.far, cull
+        if cutouts is not None:
+            out.cutouts, out.view, out.points_ws = cutouts, view, points_ws
         project = project_homogeneous if points_ws.dtype is wp.vec4 else project_vertices
         scratch.launch(project, len(points_ws), [points_ws, view], [out.screen])
         flags = scratch.array("flags", (count,), wp.uint8)

@@ -101,7 +101,8 @@ def allocate_gbuffer(width: int, height: int, device: str) -> GBuffer:
 def fill_gbuffer(gbuffer: GBuffer, geometry: Geometry, view: HostView, rasteriser: Rasteriser) -> None:
     """Renders ``geometry`` from ``view`` into ``gbuffer`` (same size)."""
     gbuffer.view = view.to_device()
-    rasteriser.draw(geometry.points_ws, geometry.indices, gbuffer.view, gbuffer.depth, gbuffer.triangle)
+    points, cutouts = geometry.points_ws, geometry.cutouts
+    rasteriser.draw(points, geometry.indices, gbuffer.view, gbuffer.depth, gbuffer.triangle, cutouts=cutouts)
     run = RUN if wp.get_device(rasteriser.device).is_cpu else 1
     launch(
         resolve_surface,

@@ -32,19 +32,22 @@ def bias_32(ax: int, ay: int, bx: int, by: int):
 
 @wp.func
 def add_row(low: wp.int64, step: wp.int64, span: wp.vec2i):
-    """Narrows a span of pixels to where ``low + step * pixel >= 0``."""
+    """Narrows a span of pixels to where ``low + step * pixel >= 0``.
+
+    Where an edge is nearly parallel to the row, the pixel at its border may be beyond 32 bits, on either side.
+    """
     begin = span[0]
     end = span[1]
     if step > wp.int64(0):
         pixel = -low / step
         if pixel * step < -low:
             pixel += wp.int64(1)
-        begin = wp.max(begin, int(wp.min(pixel, wp.int64(65536))))
+        begin = wp.max(begin, int(wp.clamp(pixel, wp.int64(0), wp.int64(65536))))
     elif step < wp.int64(0):
         pixel = low / -step
         if pixel * -step > low:
             pixel -= wp.int64(1)
-        end = wp.min(end, int(wp.max(pixel, wp.int64(-1))))
+        end = wp.min(end, int(wp.clamp(pixel, wp.int64(-1), wp.int64(65536))))
     elif low < wp.int64(0):
         end = -1
     return wp.vec2i(begin, end)

@@ -12,6 +12,7 @@ from wkernels.raster.triangles import (
     ScreenTriangles,
     edge,
     interpolate_depth,
+    is_cut,
     is_peeled,
     set_up,
     top_left_bias,
@@ -31,7 +32,8 @@ def draw_rows(
     bias_a = top_left_bias(s.bx, s.by, s.cx, s.cy)
     bias_b = top_left_bias(s.cx, s.cy, s.ax, s.ay)
     bias_c = top_left_bias(s.ax, s.ay, s.bx, s.by)
-    low = wp.uint64(triangle_id(triangles, t))
+    owner = triangle_id(triangles, t)
+    low = wp.uint64(owner)
     for y in range(s.y0 + stripe, s.y1 + 1, stripes):
         py = wp.int64(y * SUBPIXELS + HALF_PIXEL)
         px = wp.int64(s.x0 * SUBPIXELS + HALF_PIXEL)
@@ -41,7 +43,8 @@ def draw_rows(
         for x in range(s.x0, s.x1 + 1):
             if (e_a | e_b | e_c) >= wp.int64(0):
                 depth = interpolate_depth(s, e_a - bias_a, e_b - bias_b, e_c - bias_c)
-                if depth <= triangles.far and not is_peeled(triangles, depth, y, x):
+                peeled = is_peeled(triangles, depth, y, x)
+                if depth <= triangles.far and not peeled and not is_cut(triangles, owner, y, x):
                     high = wp.uint64(wp.cast(depth, wp.uint32))  # order of positive floats = order of their bits
                     wp.atomic_min(key_out, row_0 + y, x, (high << wp.uint64(32)) | low)
             e_a += (s.by - s.cy) * PIXEL_STEP

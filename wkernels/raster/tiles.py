@@ -18,6 +18,7 @@ from wkernels.raster.triangles import (
     ScreenTriangles,
     edge,
     interpolate_depth,
+    is_cut,
     is_peeled,
     set_up,
     top_left_bias,
@@ -91,16 +92,20 @@ def draw_tile(
     depth_out: wp.array2d(dtype=float),
     triangle_out: wp.array2d(dtype=int),
 ):
-    """Clears one tile and draws its triangles, keeping the nearest depth; ties go to the lower triangle index."""
+    """Clears one tile, unless it is drawn over, and draws its triangles, keeping the nearest depth.
+
+    Ties go to the lower triangle index.
+    """
     tile = first + wp.tid()
     left = (tile % tiles_x) * TILE
     top = (tile / tiles_x) * TILE
     right = wp.min(left + TILE, triangles.width) - 1
     bottom = wp.min(top + TILE, triangles.height) - 1
-    for y in range(top, bottom + 1):
-        for x in range(left, right + 1):
-            depth_out[y, x] = wp.inf
-    if with_triangles != 0:
+    if triangles.over == 0:
+        for y in range(top, bottom + 1):
+            for x in range(left, right + 1):
+                depth_out[y, x] = wp.inf
+    if with_triangles != 0 and triangles.over == 0:
         for y in range(top, bottom + 1):
             for x in range(left, right + 1):
                 triangle_out[y, x] = NO_TRIANGLE
@@ -133,11 +138,12 @@ def draw_tile(
                     depth = interpolate_depth(s, e_a - bias_a, e_b - bias_b, e_c - bias_c)
                     old = depth_out[y, x]
                     if depth <= old and depth <= triangles.far and not is_peeled(triangles, depth, y, x):
-                        if with_triangles != 0:
-                            t = triangle_id(triangles, tile_list[k])
-                            if depth < old or t < triangle_out[y, x]:
-                                triangle_out[y, x] = t
-                        depth_out[y, x] = depth
+                        t = triangle_id(triangles, tile_list[k])
+                        if not is_cut(triangles, t, y, x):
+                            if with_triangles != 0:
+                                if depth < old or t < triangle_out[y, x]:
+                                    triangle_out[y, x] = t
+                            depth_out[y, x] = depth
                 e_a += dx_a
                 e_b += dx_b
                 e_c += dx_c

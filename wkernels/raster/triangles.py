@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from wkernels.scene.cutouts import OPAQUE, Cutouts, is_cut_out
 from wkernels.scene.views import View
 
 SUBPIXELS = wp.constant(256)
@@ -80,6 +81,10 @@ class ScreenTriangles:
     cull: int
     peels: int  # 1: only what lies farther than ``nearer`` is drawn
     nearer: wp.array2d(dtype=float)  # (H, W) depths
+    over: int  # 1: drawn over what the targets hold, which are not cleared
+    cutouts: Cutouts  # ``view`` and ``points_ws`` are given where there are any
+    view: View
+    points_ws: wp.array(dtype=wp.vec3)
 
 
 @wp.func
@@ -89,6 +94,33 @@ def is_peeled(triangles: ScreenTriangles, depth: float, y: int, x: int):
     if triangles.peels != 0:
         result = depth <= triangles.nearer[y, x]
     return result
+
+
+@wp.func
+def is_cut(triangles: ScreenTriangles, t: int, y: int, x: int):
+    """Whether triangle ``t`` of the mesh is not there at a pixel's centre.
+
+    Its coordinates there are ratios of edge functions of homogeneous pixels (Olano and Greer 1997), which hold for what
+    lies behind the eye too: pieces of clipped triangles are cut as the whole would be.
+    """
+    cut = bool(False)
+    if triangles.cutouts.count > 0:
+        a = triangles.indices[3 * t]
+        if triangles.cutouts.texture[a] != OPAQUE:
+            b = triangles.indices[3 * t + 1]
+            c = triangles.indices[3 * t + 2]
+            h_a = to_homogeneous_pixels(triangles.view, triangles.points_ws[a])
+            h_b = to_homogeneous_pixels(triangles.view, triangles.points_ws[b])
+            h_c = to_homogeneous_pixels(triangles.view, triangles.points_ws[c])
+            centre = wp.vec2(float(x) + 0.5, float(y) + 0.5)
+            p_a = wp.vec2(h_a[0], h_a[1]) - centre * h_a[3]
+            p_b = wp.vec2(h_b[0], h_b[1]) - centre * h_b[3]
+            p_c = wp.vec2(h_c[0], h_c[1]) - centre * h_c[3]
+            w_a = p_b[0] * p_c[1] - p_b[1] * p_c[0]
+            w_b = p_c[0] * p_a[1] - p_c[1] * p_a[0]
+            w_c = p_a[0] * p_b[1] - p_a[1] * p_b[0]
+            cut = is_cut_out(triangles.cutouts, a, b, c, w_a, w_b, w_c)
+    return cut
 
 
 @wp.struct

@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 
 from wkernels.device.launch import launch
+from wkernels.scene.cutouts import Cutouts, no_cutouts
 
 WIDTH = wp.constant(8)
 Eight = wp.types.vector(length=WIDTH, dtype=wp.float32)
@@ -37,6 +38,9 @@ class CasterTree:
     level_begin: wp.array(dtype=int)
     level_size: wp.array(dtype=int)
     levels: int  # 0 where there is no triangle
+    order: wp.array(dtype=int)  # triangle of each slot of the leaves
+    indices: wp.array(dtype=int)  # vertices of triangles
+    cutouts: Cutouts
 
 
 @wp.kernel
@@ -168,10 +172,8 @@ class CasterTreeBuilder:
         triangles: How many of their triangles count, from the first on.
         device: Warp device.
         threads: CPU threads; None for all. The tree does not depend on it.
-
-    Attributes:
-        tree: The tree.
-        order: int32 (triangles,), which triangle stands at each place of the leaves.
+        cutouts: Where triangles are not there; everywhere they are unless given.
+        order: int32 (triangles,), such that runs of 8^k are compact; ``spatial_order`` unless given.
     """
 
     def __init__(
@@ -181,11 +183,14 @@ class CasterTreeBuilder:
         triangles: int,
         device: str = "cpu",
         threads: int | None = None,
+        cutouts: Cutouts | None = None,
+        order: np.ndarray | None = None,
     ) -> None:
         self._points, self._indices, self._device, self._threads = points_ws, indices, device, threads
         self._triangles = triangles
-        self.order = spatial_order(points_ws.numpy(), indices.numpy()[: 3 * triangles].reshape(-1, 3))
-        self._order = wp.array(self.order, dtype=int, device=device)
+        if order is None:
+            order = spatial_order(points_ws.numpy(), indices.numpy()[: 3 * triangles].reshape(-1, 3))
+        self._order = wp.array(order, dtype=int, device=device)
         sizes = [-(-self._triangles // 8)] if self._triangles else []
         while sizes and (len(sizes) == 1 or sizes[-1] > 1):
             sizes.append(-(-sizes[-1] // 8))
@@ -199,6 +204,7 @@ class CasterTreeBuilder:
         tree.level_begin = wp.array(np.array([*begins, 0], dtype=np.int32), dtype=int, device=device)
         tree.level_size = wp.array(np.array([*sizes, 0], dtype=np.int32), dtype=int, device=device)
         tree.levels = len(sizes)
+        tree.order, tree.indices, tree.cutouts = self._order, indices, cutouts or no_cutouts(device)
         self.refit()
 
     def refit(self) -> None:

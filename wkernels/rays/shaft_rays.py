@@ -20,6 +20,7 @@ from wkernels.rays.caster_tree import WIDTH, CasterTree
 from wkernels.rays.light_proofs import LightHull, shaft_frame, shaft_of
 from wkernels.rays.shaft_culling import reach_of_children, reach_of_triangles, slopes_of_group, view_leaf
 from wkernels.rays.single_rays import NO_RECEIVER, PROVEN_DARK, PROVEN_LIT, TRACED, ray_origin
+from wkernels.scene.cutouts import OPAQUE, is_cut_out
 from wkernels.scene.geometry import CASTS, RECEIVES
 
 GROUP_LANES = wp.constant(64)  # samples of a group, which meet a triangle in one step
@@ -89,6 +90,30 @@ def edge_planes(tree: CasterTree, leaf: int, k: int, origin_ws: wp.vec3, is_poin
     return out
 
 
+@wp.func
+def cut_corner(tree: CasterTree, slot: int):
+    """Where the vertices of the triangle in a slot of the leaves begin if it is cut out, else -1."""
+    at = 3 * tree.order[slot]
+    if tree.cutouts.texture[tree.indices[at]] == OPAQUE:
+        at = -1
+    return at
+
+
+@wp.func
+def meets_cut_triangle(tree: CasterTree, at: int, planes: EdgePlanes, way: wp.vec3, is_point: float):
+    """Whether a way meets a cut-out triangle where it is there: a way's products are its coordinates on it."""
+    w_a = wp.dot(planes.a, way) - planes.offset[0]
+    w_b = wp.dot(planes.b, way) - planes.offset[1]
+    w_c = wp.dot(planes.c, way) - planes.offset[2]
+    meets = wp.min(wp.min(w_a, w_b), w_c) >= 0.0
+    if meets and is_point != 0.0:
+        meets = (w_a + w_b + w_c) * BEFORE_SAMPLE >= planes.height
+    if meets:
+        b = tree.indices[at + 1]
+        meets = not is_cut_out(tree.cutouts, tree.indices[at], b, tree.indices[at + 2], w_a, w_b, w_c)
+    return meets
+
+
 @wp.kernel
 def trace_shafts(
     first: int,
@@ -128,6 +153,7 @@ def trace_shafts(
     # what is far from a receiver is rounded by less than the shaft is widened: it is what lies near that needs slack
     coordinates = wp.max(hull.span, wp.max(wp.max(wp.abs(origin[0]), wp.abs(origin[1])), wp.abs(origin[2])))
     slack = ROUNDING * coordinates * (1.0 + wp.max(steepest, 0.0))  # sides of slope t are 1 + t long or less
+    cuts = tree.cutouts.count > 0
     touched = int(0)
     seen = float(0.0)
     total = float(0.0)
@@ -195,6 +221,15 @@ def trace_shafts(
                 if planes.height == 0.0:  # seen edge on, it hides nothing
                     continue
                 touched += 1
+                if cuts:
+                    cut_at = cut_corner(tree, index * WIDTH + k)
+                    if cut_at >= 0:
+                        for lane in range(groups * GROUP_LANES):  # one way after the other: few ask the texture
+                            if hidden[lane] < 0.0 and (touches[k] & (1 << (lane / GROUP_LANES))) != 0:
+                                way = wp.vec3(xs[lane], ys[lane], zs[lane])
+                                if meets_cut_triangle(tree, cut_at, planes, way, hull.is_point):
+                                    hidden[lane] = 1.0
+                        continue
                 a_x, a_y, a_z = planes.a[0], planes.a[1], planes.a[2]
                 b_x, b_y, b_z = planes.b[0], planes.b[1], planes.b[2]
                 c_x, c_y, c_z = planes.c[0], planes.c[1], planes.c[2]

@@ -10,6 +10,7 @@ import warp as wp
 
 from wkernels.raster.gbuffer import GBuffer, is_back_lit, to_light
 from wkernels.rays.light_proofs import LightHull, proves_dark, proves_lit
+from wkernels.rays.ray_casters import RayCasters, is_cut_hidden
 from wkernels.sampling.estimators import standard_error
 from wkernels.scene.geometry import RECEIVES
 
@@ -26,14 +27,17 @@ def ray_origin(gbuffer: GBuffer, y: int, x: int):
 
 
 @wp.func
-def is_occluded(casters: wp.uint64, origin_ws: wp.vec3, light_ws: wp.vec4, reach: float):
+def is_occluded(casters: RayCasters, origin_ws: wp.vec3, light_ws: wp.vec4, reach: float):
     """Whether any caster lies between a point and a light sample."""
     way = to_light(light_ws, origin_ws)
     length = wp.length(way)
     blocked = bool(False)
     if length > 0.0:
         end = wp.where(light_ws[3] > 0.0, length * (1.0 - 1.0e-6), reach)
-        blocked = wp.mesh_query_ray_anyhit(casters, origin_ws, way / length, end)
+        if casters.mesh != wp.uint64(0):
+            blocked = wp.mesh_query_ray_anyhit(casters.mesh, origin_ws, way / length, end)
+        if not blocked:
+            blocked = is_cut_hidden(casters, origin_ws, way / length, end)
     return blocked
 
 
@@ -41,7 +45,7 @@ def is_occluded(casters: wp.uint64, origin_ws: wp.vec3, light_ws: wp.vec4, reach
 def trace_point(
     first: int,
     gbuffer: GBuffer,
-    casters: wp.uint64,
+    casters: RayCasters,
     light_ws: wp.vec4,
     reach: float,
     visibility_out: wp.array2d(dtype=float),
@@ -53,9 +57,8 @@ def trace_point(
     if (gbuffer.flags[y, x] & RECEIVES) != 0:
         if is_back_lit(gbuffer, y, x, to_light(light_ws, gbuffer.position_ws[y, x])):
             visible = 0.0
-        elif casters != wp.uint64(0):
-            if is_occluded(casters, ray_origin(gbuffer, y, x), light_ws, reach):
-                visible = 0.0
+        elif is_occluded(casters, ray_origin(gbuffer, y, x), light_ws, reach):
+            visible = 0.0
     visibility_out[y, x] = visible
 
 
@@ -66,7 +69,7 @@ PROVEN_LIT, PROVEN_DARK, TRACED, NO_RECEIVER = wp.constant(1), wp.constant(2), w
 def trace_light(
     first: int,
     gbuffer: GBuffer,
-    casters: wp.uint64,
+    casters: RayCasters,
     samples_ws: wp.array(dtype=wp.vec4),
     weights: wp.array(dtype=float),
     hull: LightHull,
@@ -88,7 +91,7 @@ def trace_light(
         origin = ray_origin(gbuffer, y, x)
         normal = gbuffer.normal_ws[y, x]
         provable = bool(False)
-        if prove != 0 and casters == wp.uint64(0):
+        if prove != 0 and casters.mesh == wp.uint64(0) and casters.cut == wp.uint64(0):
             proof = PROVEN_LIT
         elif prove != 0:
             behind = bool(True)  # the whole hull is behind a casting surface
@@ -100,7 +103,7 @@ def trace_light(
                 ahead = ahead and not hidden
             if behind:
                 proof = PROVEN_DARK
-            provable = ahead
+            provable = ahead and casters.cut == wp.uint64(0)  # proofs know whole triangles only
         if proof == PROVEN_DARK:
             visible = 0.0
         if proof == TRACED:
@@ -110,17 +113,17 @@ def trace_light(
                 if s == PROBES and provable:
                     # where the first samples disagree no proof can succeed
                     if seen == total:
-                        if proves_lit(casters, origin, normal, hull):
+                        if proves_lit(casters.mesh, origin, normal, hull):
                             proof = PROVEN_LIT
                             break
                     elif seen == 0.0:
-                        if proves_dark(casters, origin, hull):
+                        if proves_dark(casters.mesh, origin, hull):
                             proof = PROVEN_DARK
                             break
                 light = samples_ws[s]
                 total += weights[s]
                 lit = not is_back_lit(gbuffer, y, x, to_light(light, gbuffer.position_ws[y, x]))
-                if lit and casters != wp.uint64(0):
+                if lit:
                     lit = not is_occluded(casters, origin, light, hull.reach)
                 if lit:
                     seen += weights[s]

@@ -5,11 +5,14 @@ from __future__ import annotations
 import hashlib
 import itertools
 from collections.abc import Callable, Hashable
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
 
 from wkernels.device.launch import launch
+from wkernels.errors import InputError
+from wkernels.scene.cutouts import Cutouts, cutouts_of, upload_cutouts
 from wkernels.scene.model import Mesh, Scene
 from wkernels.scene.origin import PRECISION, eye_box, origin_of
 from wkernels.scene.rest import Poses
@@ -47,10 +50,14 @@ class Bounds:
     def add(self, points: np.ndarray) -> None:
         """Adds the box of some points, shape (N, 3)."""
         if len(points):
-            box = np.stack([points.min(axis=0), points.max(axis=0)])
-            self._boxes.append(box)
-            self.low = np.minimum(self.low, box[0])
-            self.high = np.maximum(self.high, box[1])
+            self.add_boxes(np.stack([points.min(axis=0), points.max(axis=0)])[None])
+
+    def add_boxes(self, boxes: np.ndarray) -> None:
+        """Adds boxes by their low and high corners, shape (N, 2, 3)."""
+        if len(boxes):
+            self._boxes.append(boxes)
+            self.low = np.minimum(self.low, boxes[:, 0].min(axis=0))
+            self.high = np.maximum(self.high, boxes[:, 1].max(axis=0))
 
     @property
     def empty(self) -> bool:
@@ -60,8 +67,22 @@ class Bounds:
     def corners(self) -> np.ndarray:
         """The eight corners of every box, shape (8 N, 3): a wide low box and a narrow high one leave the rest out."""
         pick = np.array(list(itertools.product((0, 1), repeat=3)))
-        boxes = np.array(self._boxes).reshape(-1, 2, 3)
+        boxes = np.concatenate([*self._boxes, np.zeros((0, 2, 3))])
         return boxes[:, pick, np.arange(3)].reshape(-1, 3)
+
+
+class CasterBuffers(NamedTuple):
+    """Some of the casting triangles by themselves.
+
+    Attributes:
+        points_ws: vec3 (V,), a view of ``Geometry.points_ws`` that follows it.
+        indices: int32 (3 T,), into them.
+        cutouts: Of them.
+    """
+
+    points_ws: wp.array
+    indices: wp.array
+    cutouts: Cutouts
 
 
 class Geometry:
@@ -78,6 +99,7 @@ class Geometry:
         triangle_normal_ws: vec3, shape (T,), unit.
         triangle_mesh: int32, shape (T,).
         caster_sets: int32 arrays like ``indices``: of casting meshes ``all``, the ``still`` or the ``moving`` ones.
+        cutouts: Where triangles are not there, by their vertices.
         mesh_flags: int32, shape (M,): CASTS | RECEIVES | MOVES.
         mesh_diffuse: vec3, shape (M,).
         moving: Whether any mesh may move.
@@ -94,6 +116,7 @@ class Geometry:
         self.device = device
         self.threads = threads
         self.meshes: list[Mesh] = sorted(scene.meshes, key=lambda mesh: (not mesh.casts, mesh.moving))
+        self.cutouts = upload_cutouts(self.meshes, device)
         self.version = 0
         self._frame: int | None = None
         self._shown: dict[int, np.ndarray] = {}
@@ -103,7 +126,12 @@ class Geometry:
         held = [box for vertices in placed if (box := box_of(vertices)) is not None]
         self.origin_ws = origin_of(np.array(held).reshape(-1, 2, 3), self._eyes)
         placed = [vertices - self.origin_ws for vertices in placed]
-        self._boxes = [box_of(vertices) for vertices in placed]
+        self._casts, self._receives = (
+            np.array([getattr(mesh, what) for mesh in self.meshes], bool) for what in ("casts", "receives")
+        )
+        self._boxes = np.full((len(placed), 2, 3), np.nan)  # NaN where a mesh has no finite vertex
+        for i, vertices in enumerate(placed):
+            self._box(i, vertices)
         self._noticed = self._find_noticed()
         sizes = [len(mesh.faces) for mesh in self.meshes]
         starts = np.cumsum([0] + [len(mesh.vertices) for mesh in self.meshes])
@@ -146,7 +174,7 @@ class Geometry:
                 continue  # a mover that pauses leaves every map as it was
             self._shown[i] = pose
             vertices = placed_vertices(mesh, frame) - self.origin_ws
-            self._boxes[i] = box_of(vertices)
+            self._box(i, vertices)
             region = self._ranges[i]
             part = wp.array(vertices.astype(np.float32), dtype=wp.vec3, device="cpu")
             wp.copy(self.points_ws, part, dest_offset=region.start, count=len(part))
@@ -177,6 +205,7 @@ class Geometry:
     def _sort_out(self) -> None:
         """What follows from which meshes move: flags, ranges and sets of casters."""
         numbered = list(enumerate(self.meshes))
+        self._moves = np.array([self.moves(i) for i, _ in numbered], bool)
         flags = [CASTS * mesh.casts + RECEIVES * mesh.receives + MOVES * self.moves(i) for i, mesh in numbered]
         self.mesh_flags = wp.array(np.array(flags, dtype=np.int32), dtype=wp.int32, device=self.device)
         ranges = [self._range_of(i) for i, _ in numbered if self.moves(i)]
@@ -202,26 +231,29 @@ class Geometry:
                 self.caster_sets[name] = wp.array(picked, dtype=wp.int32, device=self.device)
         self.still_triangles = len(self.caster_sets["still"]) // 3
 
+    def _box(self, mesh: int, vertices: np.ndarray) -> None:
+        box = box_of(vertices)
+        self._boxes[mesh] = np.nan if box is None else box
+
+    @property
+    def _has_box(self) -> np.ndarray:
+        return ~np.isnan(self._boxes[:, 0, 0])
+
     def _find_noticed(self) -> np.ndarray:
         """Which meshes are around the eye or large enough to be seen, bool (M,); of those that have a box."""
-        out = np.array([box is not None for box in self._boxes], bool)
+        out = self._has_box
         if out.any():
-            boxes = np.array([box for box in self._boxes if box is not None]) + self.origin_ws
-            out[out] = self._eyes.noticed(boxes)
+            out[out] = self._eyes.noticed(self._boxes[out] + self.origin_ws)
         return out
 
     def boxes(self, *, moving: bool) -> np.ndarray:
         """Corners of the boxes of the casting meshes that move, or of those that do not, (n, 8, 3), rebased world."""
-        own = Bounds()
-        for i, box in enumerate(self._boxes):
-            if self.meshes[i].casts and self.moves(i) == moving and box is not None:
-                own.add(box)
-        return own.corners.reshape(-1, 8, 3)
+        return self.bounds(casters=True, moving=moving).corners.reshape(-1, 8, 3)
 
     @property
     def mesh_boxes(self) -> np.ndarray:
         """Low and high corner of each mesh that has a finite vertex, float64 (n, 2, 3), rebased world."""
-        return np.array([box for box in self._boxes if box is not None]).reshape(-1, 2, 3)
+        return self._boxes[self._has_box]
 
     def box(self, mesh: int, frame: int) -> np.ndarray | None:
         """Low and high corner (2, 3) of a mesh at any frame, rebased world; None where it has no finite vertex."""
@@ -237,12 +269,13 @@ class Geometry:
             moving: Those that move (True) or stand still (False); None both.
             noticed: Only those that are around the eye or large enough to be seen from it.
         """
+        chosen = self._has_box & ((casters & self._casts) | (receivers & self._receives))
+        if moving is not None:
+            chosen &= self._moves == moving
+        if noticed:
+            chosen &= self._noticed
         out = Bounds()
-        for i, (mesh, own) in enumerate(zip(self.meshes, self._boxes, strict=True)):
-            if own is None or (moving is not None and self.moves(i) != moving):
-                continue
-            if ((casters and mesh.casts) or (receivers and mesh.receives)) and (self._noticed[i] or not noticed):
-                out.add(own)
+        out.add_boxes(self._boxes[chosen])
         return out
 
     @property
@@ -257,19 +290,25 @@ class Geometry:
         sight = self._eyes.sight(box.low + self.origin_ws, box.high + self.origin_ws)
         return min(float(np.linalg.norm(box.high - box.low)), 2.0 * PRECISION * sight)
 
-    def caster_buffers(self, *, moving: bool) -> tuple[wp.array, wp.array]:
-        """The casting triangles of the meshes that move, or of those that stand still.
-
-        Returns:
-            Vertices, vec3 (V,), a view of ``points_ws`` that follows it, and int32 (3 T,) indices into them.
-        """
+    def caster_buffers(self, *, moving: bool) -> CasterBuffers:
+        """The casting triangles of the meshes that move, or of those that stand still."""
         chosen = [i for i, mesh in enumerate(self.meshes) if mesh.casts and self.moves(i) == moving and len(mesh.faces)]
         if not chosen:
-            return self.points_ws, wp.empty(0, dtype=wp.int32, device=self.device)
+            return CasterBuffers(self.points_ws, wp.empty(0, dtype=wp.int32, device=self.device), self.cutouts)
         region = slice(int(self._ranges[chosen[0]].start), int(self._ranges[chosen[-1]].stop))
         faces = [self.meshes[i].faces + (self._ranges[i].start - region.start) for i in chosen]
         indices = np.ascontiguousarray(np.concatenate(faces).ravel(), dtype=np.int32)
-        return self.points_ws[region], wp.array(indices, dtype=wp.int32, device=self.device)
+        on_device = wp.array(indices, dtype=wp.int32, device=self.device)
+        return CasterBuffers(self.points_ws[region], on_device, cutouts_of(self.cutouts, region))
+
+    def require_whole(self, what: str) -> None:
+        """Raises InputError where a caster is cut out by a texture, and so has no outline that its triangles know.
+
+        Args:
+            what: Who asks, as the sentence's subject, such as ``silhouettes``.
+        """
+        if (cut := next((mesh.name for mesh in self.meshes if mesh.casts and mesh.mask is not None), None)) is not None:
+            raise InputError(f"{what} need whole casters; the mesh '{cut}' is cut out by a texture.")
 
     def _update_normals(self) -> None:
         launch(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wkernels.scene.cutouts import Mask
 from wkernels.scene.light_motion import light_at
 from wkernels.scene.lights import Light
 
@@ -26,6 +27,7 @@ class Mesh:
         moving: Whether the pose or the shape differs between frames.
         deformed: Object-space positions at a frame, float64 (V, 3), of a mesh that changes its shape; ``vertices`` are
             those of frame 0. None: it keeps its shape.
+        mask: Where the mesh is there; None: everywhere.
     """
 
     name: str
@@ -37,6 +39,7 @@ class Mesh:
     object_to_ws: Callable[[int], np.ndarray] = lambda frame: np.eye(4)
     moving: bool = False
     deformed: Callable[[int], np.ndarray] | None = None
+    mask: Mask | None = None
 
     def vertices_at(self, frame: int) -> np.ndarray:
         """Object-space positions at a frame, shape (V, 3)."""

@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from experiments.scenes import schema
+from experiments.scenes.assets import find_file
 from experiments.scenes.cameras import CameraPath, camera_path, check_lens
 from experiments.scenes.files import MeshWarning
 from experiments.scenes.importing.description import Asked, ImportedCamera, ImportedScene, Shape, each_frame
@@ -60,7 +61,7 @@ def import_file(options: ImportingSceneFile, place: Place) -> Imported:
         InputError: The file is missing, broken, of an unknown format, or requires what is not supported.
     """
     at = place.at("import")
-    path = at.existing_file(options.import_file)
+    path = find_file(options.import_file, at)
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         raise at.error(f"'{path}' is of no format that can be imported, which are {', '.join(FORMATS)}.")
@@ -88,10 +89,11 @@ def _came_in(scene: ImportedScene, meshes: Sequence[Mesh]) -> str:
     cameras = ", ".join(
         f"{camera.name} ({'orthographic' if camera.fov_deg is None else 'perspective'})" for camera in scene.cameras
     )
-    moving = sum(mesh.moving for mesh in meshes)
+    moving, masked = sum(mesh.moving for mesh in meshes), sum(mesh.mask is not None for mesh in meshes)
+    cut = f", {masked} cut out by a texture" if masked else ""
     return "; ".join(
         [
-            f"{len(meshes)} meshes of {len(scene.shapes)} shapes, {moving} of them moving",
+            f"{len(meshes)} meshes of {len(scene.shapes)} shapes, {moving} of them moving{cut}",
             f"lights: {', '.join(f'{count} {kind}' for kind, count in kinds.items()) or 'none'}",
             f"cameras: {cameras or 'none'}",
             f"{scene.frames} frame{'' if scene.frames == 1 else 's'}",
@@ -122,6 +124,7 @@ def _meshes(scene: ImportedScene, names: FreeNames, tell: Any) -> tuple[Mesh, ..
             object_to_ws=sampled if len(pose) > 1 else StaticPose(pose[0]),
             moving=sampled.moving or shape.deformation is not None,
             deformed=shape.deformation,
+            mask=shape.mask,
         )
         meshes.append(mesh if one.diffuse is None else replace(mesh, diffuse=one.diffuse))
     return tuple(meshes)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from experiments.scenes.importing.deformation import Deformation
 from experiments.scenes.meshes.reading import MeshError
+from wkernels.scene.cutouts import Mask
 from wkernels.scene.lights import Light
 
 MOST_FRAMES = 100_000
@@ -38,11 +39,13 @@ class Shape:
         vertices: float64 (V, 3), on the first frame.
         faces: int (F, 3), counter-clockwise seen from outside.
         deformation: Vertices on every frame; None where they stay.
+        mask: Where it is there; None: everywhere.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     deformation: Deformation | None = None
+    mask: Mask | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +124,8 @@ class ImportedScene:
         used = np.unique(shape.faces)
         if len(used) < len(shape.vertices):
             deformation = shape.deformation.only(used) if shape.deformation else None
-            shape = Shape(shape.vertices[used], np.searchsorted(used, shape.faces), deformation)
+            mask = replace(shape.mask, uv=shape.mask.uv[used]) if shape.mask else None
+            shape = Shape(shape.vertices[used], np.searchsorted(used, shape.faces), deformation, mask)
         self.shapes.append(shape)
         return len(self.shapes) - 1
 

@@ -20,6 +20,7 @@ from experiments.scenes.importing.description import (
     rigid,
 )
 from experiments.scenes.importing.gltf_animation import Animation
+from experiments.scenes.importing.gltf_materials import Materials
 from experiments.scenes.meshes import gltf_nodes
 from experiments.scenes.meshes.gltf import GEOMETRY_EXTENSIONS, check_extensions
 from experiments.scenes.meshes.gltf_document import Document
@@ -45,7 +46,7 @@ class _Reader:
         self._animation = Animation(document, asked)
         self._out = ImportedScene(frames=self._animation.frames)
         self._shapes: dict[int, list[tuple[int, Grey | None]]] = {}  # of meshes that several nodes may show
-        self._not_opaque: dict[str, set[int]] = {}  # materials by their alphaMode
+        self._materials = Materials(document, asked.tell)
 
     def scene(self) -> ImportedScene:
         """Everything in the scene."""
@@ -66,8 +67,7 @@ class _Reader:
                 self._out.lights.append(self._light(light.get("light"), node, worlds[index]))
         if hidden:
             self._tell(f"left out: {hidden} invisible nodes.")
-        for mode, materials in sorted(self._not_opaque.items()):
-            self._tell(f"{len(materials)} materials with alphaMode {mode} are drawn opaque.")
+        self._materials.finish()
         if self._animation.frames > 1:
             frames = f"{self._animation.frames} frames at {self._animation.fps:g} per second"
             self._out.notes.append(f"animation {self._animation.name!r}: {frames}")
@@ -90,7 +90,10 @@ class _Reader:
             self._out.instances += [Instance(name, shape, each_frame(pose @ copy), color) for shape, color in parts]
 
     def _own_shapes(self, index: int, node: dict[str, Any], worlds: dict[int, np.ndarray]) -> list:
-        """Shapes of a node's mesh with their colours, one for each colour: a body of several parts stays closed."""
+        """Shapes of a node's mesh with their colours, one for each colour: a body of several parts stays closed.
+
+        What is cut out by a texture stays apart.
+        """
         document = self._document
         rest = default_weights(document, node, f"node {index}")
         if rest is None:
@@ -99,15 +102,19 @@ class _Reader:
         animated = self._animation.weights(index)
         deforms = "skin" in node or animated is not None
         held = np.zeros_like(animated[0]) if animated is not None else rest
-        found: dict[Grey | None, list[Shape]] = {}
-        for primitive in primitives(document, node["mesh"], held, self._tell):
-            shape = Shape(primitive.vertices, primitive.faces)
+        found: dict[tuple[Grey | None, int | None], list[Shape]] = {}
+        for i, primitive in enumerate(primitives(document, node["mesh"], held, self._tell)):
+            mask = self._materials.mask(primitive)
+            shape = Shape(primitive.vertices, primitive.faces, mask=mask)
             if deforms:
                 deformation = self._morph(primitive, node, animated, worlds)
                 moves = len(deformation.weights) > 1 or len(deformation.matrices) > 1
-                shape = Shape(deformation(0), primitive.faces, deformation if moves else None)
-            found.setdefault(self._diffuse(primitive.data), []).append(shape)
-        return [(self._out.add(shape), color) for color, shapes in found.items() for shape in _merged(shapes, deforms)]
+                shape = Shape(deformation(0), primitive.faces, deformation if moves else None, mask)
+            apart = None if mask is None else i
+            found.setdefault((self._materials.diffuse(primitive), apart), []).append(shape)
+        return [
+            (self._out.add(shape), color) for (color, _), shapes in found.items() for shape in _merged(shapes, deforms)
+        ]
 
     def _morph(
         self, primitive: Primitive, node: dict[str, Any], animated: np.ndarray | None, worlds: dict[int, np.ndarray]
@@ -146,22 +153,6 @@ class _Reader:
                 for i in range(frames)
             ]
         )
-
-    def _diffuse(self, primitive: dict[str, Any]) -> Grey | None:
-        """The material's base colour; without a material or with one that leaves it out, None."""
-        if "material" not in primitive:
-            return None
-        document = self._document
-        material = document.item("materials", primitive["material"])
-        mode = document.get(material, "alphaMode", str, "OPAQUE")
-        if mode != "OPAQUE":
-            self._not_opaque.setdefault(mode, set()).add(primitive["material"])
-        surface = document.get(material, "pbrMetallicRoughness", dict, {})
-        if "baseColorFactor" not in surface:
-            return None
-        what = f"material {primitive['material']}"
-        red, green, blue = np.clip(document.numbers(surface, "baseColorFactor", 4, [], what)[:3], 0.0, 1.0).tolist()
-        return red, green, blue
 
     def _light(self, index: Any, node: dict[str, Any], world: np.ndarray) -> ImportedLight:
         document = self._document

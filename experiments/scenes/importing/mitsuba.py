@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from experiments.scenes.importing.description import (
     each_frame,
     rigid,
 )
+from experiments.scenes.importing.mitsuba_masks import mask_of
 from experiments.scenes.importing.mitsuba_shapes import SHAPES, own_placement, transform, translation
 from experiments.scenes.importing.mitsuba_xml import Element, read_xml
 from experiments.scenes.meshes import obj, ply
@@ -87,6 +89,11 @@ class _Reader:
             to_world = to_world @ own_placement(element)
         name = element.keys.get("id") or Path(element.text("filename", element.kind)).stem
         pose = each_frame(to_world)
+        for material in _materials(element):
+            if material.kind == "mask":
+                shape = self._out.shapes[index]
+                mask = mask_of(element, material, shape.vertices, self._tell)
+                index = index if mask is None else self._out.add(replace(shape, mask=mask))
         self._out.instances.append(Instance(name, index, pose, self._diffuse(element)))
 
     def _shape(self, element: Element) -> int | None:
@@ -117,8 +124,6 @@ class _Reader:
     def _diffuse(self, element: Element) -> Grey | None:
         """The reflectance of the material, or of the one inside it; None where it has none, or a texture."""
         for material in _materials(element):
-            if material.kind == "mask":
-                self._tell("shapes with a mask are drawn opaque.")
             for name in ("reflectance", "diffuse_reflectance", "base_color"):
                 color = material.color(name)
                 if color is not None:

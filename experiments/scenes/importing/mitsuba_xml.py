@@ -132,8 +132,8 @@ def read_xml(path: Path) -> Element:
     if root.tag != "scene":
         raise root.error(f"a Mitsuba scene begins with <scene>, not with <{root.tag}>.")
     version = root.keys.get("version", "")
-    if not re.match(r"[3-9]\.", version):
-        raise root.error(f"is a scene of version {version or 'unknown'}; those of Mitsuba 3 are read.")
+    if not re.match(r"[2-9]\.", version):  # Mitsuba 3 reads scenes of version 2 as they are
+        raise root.error(f"is a scene of version {version or 'unknown'}; those of version 2 and 3 are read.")
     _resolve(root)
     return root
 

@@ -25,6 +25,7 @@ from experiments.scenes.importing.description import (
     rigid,
 )
 from experiments.scenes.importing.usd_lights import usd_light
+from experiments.scenes.importing.usd_masks import masked_triangles
 from experiments.scenes.meshes.axes import TO_Y_UP
 from experiments.scenes.meshes.reading import MeshError, one_line
 from experiments.scenes.meshes.usd import drawn_prims
@@ -162,7 +163,13 @@ class _Reader:
                 dropped[f"of type {prim.GetTypeName()}"] += 1
                 return
             vertices, faces = (np.asarray(part) for part in found)
-            self._shapes[kept] = self._out.add(Shape(vertices, faces, self._samples(prim, vertices, faces)))
+            shape = Shape(vertices, faces, self._samples(prim, vertices, faces))
+            if (masked := masked_triangles(prim, self._times[0], self._tell)) is not None:
+                if shape.deformation is None:
+                    shape = Shape(masked.vertices, masked.faces, mask=masked.mask)
+                else:
+                    self._tell(f"the opacity mask of {prim.GetPath()}, whose points move, is left out; it is opaque.")
+            self._shapes[kept] = self._out.add(shape)
         pose = each_frame(np.array(one.poses))
         self._out.instances.append(Instance(prim.GetName(), self._shapes[kept], pose, _diffuse(prim, self._times[0])))
 

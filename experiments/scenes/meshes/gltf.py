@@ -95,4 +95,5 @@ def _tell_of_alpha(document: Document, materials: set[Any], tell: Tell) -> None:
         if mode != "OPAQUE":
             modes[mode] = modes.get(mode, 0) + 1
     for mode, count in sorted(modes.items()):
-        tell(f"{count} materials with alphaMode {mode} are drawn opaque.")
+        remedy = " (`import` of the file cuts them out)" if mode == "MASK" else ""
+        tell(f"{count} materials with alphaMode {mode} are drawn opaque{remedy}.")

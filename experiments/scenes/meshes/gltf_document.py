@@ -172,6 +172,10 @@ class Document:
             if index == 0 and self._chunk is not None:
                 return self._chunk
             raise MeshError(f"buffer {index} has neither a uri nor a binary chunk.")
+        return self.external(uri, f"buffer {index}")
+
+    def external(self, uri: str, what: str) -> bytes:
+        """The bytes that a uri stands for, of a file beside this one or in itself; ``what`` is named in messages."""
         if uri.startswith("data:"):
             head, comma, body = uri.partition(",")
             try:
@@ -179,17 +183,17 @@ class Document:
                     raise ValueError
                 return base64.b64decode(unquote(body), validate=True)
             except (ValueError, binascii.Error):
-                raise MeshError(f"buffer {index} is no base64 data.") from None
+                raise MeshError(f"{what} is no base64 data.") from None
         if urlparse(uri).netloc or Path(unquote(uri)).is_absolute():
-            raise MeshError(f"buffer {index} is '{uri}'; only files relative to the glTF file are read.")
+            raise MeshError(f"{what} is '{uri}'; only files relative to the glTF file are read.")
         for name in (unquote(uri), uri):  # the specification escapes names, not every writer does
             file = self.path.parent / name
             try:
                 if file.is_file():
                     return file.read_bytes()
             except (OSError, ValueError) as error:
-                raise MeshError(f"its buffer '{name}' cannot be read: {one_line(error)}.") from None
-        raise MeshError(f"its buffer '{unquote(uri)}' is missing.")
+                raise MeshError(f"its {what.split()[0]} '{name}' cannot be read: {one_line(error)}.") from None
+        raise MeshError(f"its {what.split()[0]} '{unquote(uri)}' is missing.")
 
     def _unpack(self, data: bytes) -> bytes:
         """The JSON of a GLB container; keeps its binary chunk."""

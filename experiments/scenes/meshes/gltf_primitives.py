@@ -88,6 +88,23 @@ def joints_and_weights(document: Document, primitive: Primitive, joints: int) ->
     return np.minimum(index, joints - 1), weight / np.where(total > 0.0, total, 1.0)
 
 
+def texture_coordinates(document: Document, primitive: Primitive, channel: Any) -> np.ndarray | None:
+    """Texture coordinates ``TEXCOORD_<channel>`` of a primitive's vertices, float64 (V, 2); None where it has none."""
+    attributes, name = document.get(primitive.data, "attributes", dict, {}), f"TEXCOORD_{channel}"
+    what = "a primitive with a texture"
+    extension = document.get(document.get(primitive.data, "extensions", dict, {}), DRACO, dict, {})
+    packed = document.get(extension, "attributes", dict, {})
+    if name in packed and "bufferView" not in document.item("accessors", attributes.get(name)):
+        out = _draco_attribute(_draco(document, extension, what), packed[name], what)
+    elif name in attributes:
+        out = document.accessor(attributes[name]).astype(np.float64)
+    else:
+        return None
+    if out.shape != (len(primitive.vertices), 2) or not np.isfinite(out).all():
+        raise MeshError(f"{what} has {name} that does not fit its vertices.")
+    return out
+
+
 def _attributes(document: Document, primitive: dict[str, Any], what: str) -> tuple[np.ndarray | None, np.ndarray]:
     """Positions (V, 3) or None, and the vertex of every corner in the primitive's own order."""
     attributes = document.get(primitive, "attributes", dict, {})
@@ -108,20 +125,33 @@ def _attributes(document: Document, primitive: dict[str, Any], what: str) -> tup
     return vertices.astype(np.float64), indices.ravel()
 
 
-def _decode_draco(document: Document, extension: dict[str, Any], what: str) -> tuple[np.ndarray, np.ndarray]:
+def _draco(document: Document, extension: dict[str, Any], what: str) -> Any:
+    """The decoded mesh of a compressed primitive."""
     if importlib.util.find_spec("DracoPy") is None:
         raise MeshError(f"{what} is compressed by {DRACO}, which needs an extra: pip install 'wkernels[formats]'.")
     import DracoPy
 
     payload, _ = document.view_bytes(extension.get("bufferView"))
     try:
-        decoded = DracoPy.decode(payload)
-        position = document.get(extension, "attributes", dict, {}).get("POSITION")
-        vertices = np.asarray(decoded.get_attribute_by_unique_id(position)["data"], np.float64)
-        corners = np.asarray(decoded.faces, np.int64).ravel()
-        return vertices.reshape(-1, 3), corners
+        return DracoPy.decode(payload)
     except Exception as error:  # a C++ library's own exceptions
         raise MeshError(f"{what} is compressed by {DRACO} and cannot be decoded: {one_line(error)}.") from None
+
+
+def _draco_attribute(decoded: Any, index: Any, what: str) -> np.ndarray:
+    """An attribute of a decoded mesh by its unique id, float64 (V, width)."""
+    try:
+        values = np.asarray(decoded.get_attribute_by_unique_id(index)["data"], np.float64)
+        return values.reshape(len(values), -1)
+    except Exception as error:  # a C++ library's own exceptions
+        raise MeshError(f"{what} is compressed by {DRACO} and cannot be decoded: {one_line(error)}.") from None
+
+
+def _decode_draco(document: Document, extension: dict[str, Any], what: str) -> tuple[np.ndarray, np.ndarray]:
+    decoded = _draco(document, extension, what)
+    position = document.get(extension, "attributes", dict, {}).get("POSITION")
+    vertices = _draco_attribute(decoded, position, what)
+    return vertices.reshape(-1, 3), np.asarray(decoded.faces, np.int64).ravel()
 
 
 def _morphed(

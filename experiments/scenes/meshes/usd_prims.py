@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -48,7 +49,53 @@ def prim_triangles(prim: Any, time: Any, tell: Tell) -> Triangles | None:
         raise MeshError(f"the {prim.GetTypeName()} {prim.GetPath()} has a size without a shape: {error}.") from None
 
 
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """The corners of a mesh's faces, each by itself, as texture coordinates may differ where they meet.
+
+    Attributes:
+        points: float64 (C, 3).
+        faces: int (F, 3), triangles of corners.
+        vertex, number, face: int (C,): the point of each, which of the file's corners it is, and of which face.
+    """
+
+    points: np.ndarray
+    faces: np.ndarray
+    vertex: np.ndarray
+    number: np.ndarray
+    face: np.ndarray
+
+
+def mesh_corners(mesh: Any, time: Any, tell: Tell) -> Corners:
+    """A mesh by its corners; raises MeshError."""
+    polygons = _polygons(mesh, time, tell)
+    points = polygons.points[polygons.indices]
+    faces = triangulate(points, polygons.counts, np.arange(len(points)))
+    return Corners(points, polygons.turned(faces), polygons.indices, polygons.number, polygons.face)
+
+
+@dataclass(frozen=True, eq=False)
+class _Polygons:
+    """Points (V, 3) and polygons: their corners' counts (P,); of each corner, point, number in the file and face."""
+
+    points: np.ndarray
+    counts: np.ndarray
+    indices: np.ndarray
+    number: np.ndarray
+    face: np.ndarray
+    left_handed: bool
+
+    def turned(self, faces: np.ndarray) -> np.ndarray:
+        """Triangles counter-clockwise seen from outside."""
+        return faces[:, ::-1] if self.left_handed else faces
+
+
 def _mesh(mesh: Any, time: Any, tell: Tell) -> Triangles:
+    polygons = _polygons(mesh, time, tell)
+    return polygons.points, polygons.turned(triangulate(polygons.points, polygons.counts, polygons.indices))
+
+
+def _polygons(mesh: Any, time: Any, tell: Tell) -> _Polygons:
     from pxr import UsdGeom
 
     points = attribute_values(mesh.GetPointsAttr(), time, np.float64)
@@ -60,18 +107,19 @@ def _mesh(mesh: Any, time: Any, tell: Tell) -> Triangles:
     if counts.sum() != len(indices) or np.any(counts < 0):
         raise MeshError(f"has a mesh ({mesh.GetPath()}) whose face counts do not fit its face indices.")
     check_indices(indices, len(points), what=f"a face of {mesh.GetPath()}")
+    number, face = np.arange(len(indices)), np.repeat(np.arange(len(counts)), counts)
     holes = attribute_values(mesh.GetHoleIndicesAttr(), time, np.int64)
     if len(holes):  # faces that are not drawn
         check_indices(holes, len(counts), what=f"a hole of {mesh.GetPath()}")
         drawn = np.ones(len(counts), bool)
         drawn[holes] = False
-        indices, counts = indices[np.repeat(drawn, counts)], counts[drawn]
+        kept = np.repeat(drawn, counts)
+        indices, number, face, counts = indices[kept], number[kept], face[kept], counts[drawn]
     scheme = mesh.GetSubdivisionSchemeAttr()
     if scheme.IsAuthored() and scheme.Get(time) != UsdGeom.Tokens.none:
         tell(f"{mesh.GetPath()} is a subdivision surface ({scheme.Get(time)}); its control mesh is drawn.")
-    faces = triangulate(points, counts, indices)
     left_handed = mesh.GetOrientationAttr().Get(time) == UsdGeom.Tokens.leftHanded
-    return points, faces[:, ::-1] if left_handed else faces
+    return _Polygons(points, counts, indices, number, face, bool(left_handed))
 
 
 def attribute_values(attribute: Any, time: Any, kind: type) -> np.ndarray:

@@ -13,7 +13,7 @@ from wkernels.casters import pulls
 from wkernels.casters.components import Components
 from wkernels.casters.pulls import pull_components, pull_silhouettes
 from wkernels.casters.silhouettes import facing_of
-from wkernels.casters.volume_counts import UnseenVolumes, count_volumes, may_be_seen, may_hold_near_plane, near_hull
+from wkernels.casters.volume_counts import Uncounted, count_volumes, may_be_seen, may_hold_near_plane, near_hull
 from wkernels.raster import Rasteriser
 from wkernels.raster.gbuffer import GBuffer, allocate_gbuffer, fill_gbuffer
 from wkernels.scene.geometry import Geometry
@@ -114,7 +114,7 @@ def test_volumes_beside_the_view_are_left_out_and_told(device: str) -> None:
     light_ws = np.append(np.array((1.0, 7.0, 2.0)) - geometry.origin_ws, 1.0)
     work = Workspace(device, 2)
     got = count_volumes(work, rasteriser, geometry, gbuffer, view, light_ws)
-    assert work.left_out[UnseenVolumes.BESIDE.pair] >= 3
+    assert work.left_out[Uncounted.BESIDE.pair] >= 3
     assert (gbuffer.triangle.numpy() >= 0).sum() == 0 or not got.numpy()[gbuffer.triangle.numpy() >= 0].any()
 
 

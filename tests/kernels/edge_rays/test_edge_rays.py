@@ -38,7 +38,7 @@ def _cpu_only(device: str) -> None:
 def both_ways(session: Session, count: int) -> tuple[np.ndarray, np.ndarray, int]:
     """Visibility of the receivers by edges and by rays, and how many of the former took rays."""
     gbuffer, hull, samples = session.gbuffer(), session.light_hull(), session.light_samples(count)
-    known = pull_edge_set(session, session.geometry, session.light)
+    known = pull_edge_set(session, session.geometry, session.light, session.caster_tree())
     tree, shape = session.caster_tree(), gbuffer.flags.shape
     edges, rays = (wp.zeros(shape, dtype=float, device="cpu") for _ in range(2))
     by_rays = trace_silhouettes(
@@ -145,7 +145,7 @@ def test_casters_that_pierce_the_light(kind: str, device: str) -> None:
     meshes = [small.mesh("ground", small.plane(12.0))]
     meshes += [small.mesh(f"body {i}", body) for i, body in enumerate(bodies)]
     session = open_session(small.scene(meshes, lamp), device)
-    known = pull_edge_set(session, session.geometry, session.light)
+    known = pull_edge_set(session, session.geometry, session.light, session.caster_tree())
     assert 0 < len(known.piercing_ws) // 3 <= MOST_PIERCING
     edges, rays, _ = both_ways(session, 64)
     assert_same(edges, rays, 64)
@@ -226,13 +226,13 @@ def test_bands_and_threads_change_no_bit(device: str, monkeypatch: pytest.Monkey
 def test_edges_are_kept_while_nothing_moves(device: str) -> None:
     still = small.cluttered(small.light("disc", (2.0, 8.0, -1.0)))
     session = open_session(still, device)
-    known = pull_edge_set(session, session.geometry, session.light)
+    known = pull_edge_set(session, session.geometry, session.light, session.caster_tree())
     session.begin(1)
-    assert pull_edge_set(session, session.geometry, session.light) is known
+    assert pull_edge_set(session, session.geometry, session.light, session.caster_tree()) is known
     session = open_session(small.moved(still, 1, lambda frame: 0.2 * frame), device)
     for frame in range(3):
         session.begin(frame)
-        moving = pull_edge_set(session, session.geometry, session.light)
+        moving = pull_edge_set(session, session.geometry, session.light, session.caster_tree())
         assert moving is not known
         known = moving
         edges, rays, _ = both_ways(session, 64)

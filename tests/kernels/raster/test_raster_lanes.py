@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from drawing import draw, triangle_soup, view_of
+from drawing import draw, flat_view, from_pixels, triangle_soup, view_of
 
 from wkernels.raster import CULL_BACK, CULL_FRONT, CULL_NONE, Rasteriser
 from wkernels.raster.lanes import depth_key
@@ -38,6 +38,20 @@ def test_it_draws_what_the_plain_twin_draws(perspective: bool, size: float, shap
     points, faces = triangle_soup(rng, 60 if size > 10 else 3000, size)
     lanes, tiles = both(points, faces, view_of(perspective, *shape))
     assert_same_image(lanes, tiles)
+
+
+@pytest.mark.parametrize("clockwise", [True, False])
+@pytest.mark.parametrize("both_sides", [True, False])
+@pytest.mark.parametrize("down", [1, -1, 3, -40])
+def test_wide_triangles_with_an_edge_nearly_parallel_to_rows(down: int, both_sides: bool, clockwise: bool) -> None:
+    """Such an edge meets a row up to 2^33 pixels away: a floor that reaches behind the eye has one where it is cut."""
+    below = 12000.0
+    corners = [[-9000.0, below], [40.0, 6.5], [9000.0 if both_sides else -300.0, below + down / 256.0]]
+    pixels = np.array(corners[::-1] if clockwise else corners)
+    for points in (pixels, np.array([0.0, 54.0]) + [1.0, -1.0] * pixels):  # the edge below, and above
+        lanes, tiles = both(from_pixels(*points.T, 2.0), np.array([[0, 1, 2]]), flat_view(96, 54))
+        assert (tiles[1] == 0).sum() > 100
+        np.testing.assert_array_equal(lanes[1], tiles[1])
 
 
 @pytest.mark.parametrize("cull", [CULL_BACK, CULL_FRONT])

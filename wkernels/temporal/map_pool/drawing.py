@@ -13,6 +13,7 @@ from wkernels.device.twin import Twin
 from wkernels.light_maps.depth_clamp import clamp_casters
 from wkernels.light_maps.map_look import clamps_of
 from wkernels.raster import Rasteriser, TriangleBlocks
+from wkernels.scene.geometry import CasterBuffers
 from wkernels.scene.views import HostView
 from wkernels.temporal.map_pool.pool import CONSTANTS, TILE, MapPool, TexelTile, layer_constants
 
@@ -124,17 +125,15 @@ class PoolPainter:
     """Draws the same casters into maps of pools.
 
     Args:
-        casters: Vertices and indices, as of ``Geometry.casters``.
+        casters: Of ``Geometry.caster_buffers``.
         resolution: Texels per side of the maps.
         device: Warp device.
         threads: CPU threads; None for all.
         culls: Whether casters beside a layer's view are left out, for which they must stand still.
     """
 
-    def __init__(
-        self, casters: tuple[wp.array, wp.array], resolution: int, device: str, threads: int | None, culls: bool
-    ) -> None:
-        self._points, self._indices = casters
+    def __init__(self, casters: CasterBuffers, resolution: int, device: str, threads: int | None, culls: bool) -> None:
+        self._points, self._indices, self._cutouts = casters
         self._rasteriser = Rasteriser(device, threads)
         self._image = wp.empty((resolution, resolution), dtype=float, device=device)
         self._depths = wp.zeros(1, dtype=float, device=device)
@@ -178,7 +177,15 @@ class PoolPainter:
         shown = [views[layer].to_device() for layer in chosen]
         images = [self._image] * len(chosen)
         beside = self._rasteriser.draw_many(
-            self._points, self._indices, shown, images, None, cull, blocks=blocks, drawn=finish
+            self._points,
+            self._indices,
+            shown,
+            images,
+            None,
+            cull,
+            blocks=blocks,
+            drawn=finish,
+            cutouts=self._cutouts,
         )
 
         def put(out: wp.array, values: np.ndarray, begin: int, dtype: type) -> None:

@@ -14,6 +14,7 @@ from wkernels.device.launch import launch
 from wkernels.frame.session import Session
 from wkernels.projections.light_views import scene_views
 from wkernels.raster import Rasteriser
+from wkernels.scene.cutouts import cut_triangles
 from wkernels.scene.geometry import Bounds
 from wkernels.scene.lights import orthonormal_frame
 from wkernels.scene.views import HostView, View
@@ -117,7 +118,9 @@ class MoverMaps:
     def __init__(self, frame: Session, maps: int, resolution: int) -> None:
         self.device, self.threads, self.resolution = frame.device, frame.threads, resolution
         self.resting = frame.geometry.resting  # with it the movers change
-        self.points, self.indices = frame.geometry.caster_buffers(moving=True)
+        self.casters = frame.geometry.caster_buffers(moving=True)
+        self.points, self.indices, cutouts = self.casters
+        self._cut = bool(cut_triangles(self.indices, cutouts).any())
         self.pool = allocate_pool(maps, 1, resolution, frame.device)
         self._rasteriser = Rasteriser(frame.device, frame.threads)
         self._columns = max(1, min(int(np.ceil(maps**0.5)), MAX_SIDE // resolution))
@@ -134,7 +137,7 @@ class MoverMaps:
             own = axes if light[3] != 0.0 else box_axes(light, corners)
             views.append(box_view(light, corners, own, self.resolution))
         held = [view for view in views if view is not None]
-        if len(held) < count or rows * self.resolution > MAX_SIDE:
+        if len(held) < count or rows * self.resolution > MAX_SIDE or self._cut:  # copies have no texture coordinates
             return self._draw_apart(points_of_light, box, cull)
         if self.pool.slots != 1:
             self.pool = allocate_pool(len(self.pool.layers), 1, self.resolution, self.device)
@@ -156,13 +159,12 @@ class MoverMaps:
         return self.pool
 
     def _draw_apart(self, points_of_light: np.ndarray, box: Bounds, cull: int) -> MapPool:
-        """One map after the other, with as many layers as it takes: where a light comes close to the movers."""
+        """One map after the other, with as many layers as it takes: a light is close to the movers, or some are cut."""
         views = [scene_views(light, box, box, self.resolution) for light in points_of_light]
         layers = max(len(own) for own in views)
         if self.pool.slots < layers:
             self.pool = allocate_pool(len(self.pool.layers), layers, self.resolution, self.device)
-        casters = self.points, self.indices
-        painter = PoolPainter(casters, self.resolution, self.device, self.threads, culls=False)
+        painter = PoolPainter(self.casters, self.resolution, self.device, self.threads, culls=False)
         for i, own in enumerate(views):
             painter.draw(self.pool, i, own, points_of_light[i], 1.0, cull)
         return self.pool
