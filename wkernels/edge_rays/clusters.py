@@ -94,7 +94,7 @@ def corner_of(half: wp.vec3, i: int):
 
 @wp.func
 def hull_planes(low: wp.vec3, high: wp.vec3, light: LightPlane):
-    """Sides that are as steep as the ways from the box's border to the light's; any slope holds, a good one narrowly."""
+    """Sides as steep as the ways from the box's border to the light's; any slope holds, a good one narrowly."""
     out = HullPlanes()
     out.middle = 0.5 * (low + high)
     out.half = 0.5 * (high - low)

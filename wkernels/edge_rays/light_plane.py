@@ -75,7 +75,7 @@ def light_plane(light: Light, device: str) -> LightPlane:
         normal = normal / np.linalg.norm(normal)
         dual = np.linalg.inv(np.stack([edge_u, edge_v, normal], axis=1))
         out.to_u, out.to_v, out.normal = wp.vec3(*dual[0]), wp.vec3(*dual[1]), wp.vec3(*normal)
-        out.size = 0.5 * max(np.linalg.norm(edge_u + edge_v), np.linalg.norm(edge_u - edge_v))
+        out.size = 0.5 * float(max(np.linalg.norm(edge_u + edge_v), np.linalg.norm(edge_u - edge_v)))
     else:
         centre, hull = light.centre[:3], light.hull[:, :3]
         across = max(hull - hull[0], key=np.linalg.norm)

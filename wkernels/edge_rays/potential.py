@@ -111,9 +111,7 @@ def find_edge_set(
     out.turns = wp.array(turns[order], dtype=wp.vec2, device=device)
     out.count = len(ends)
     pierced = points[faces[piercing]].reshape(-1, 3)
-    return EdgeSet(
-        out, tree, wp.array(pierced, dtype=wp.vec3, device=device), int(piercing.sum()) > MOST_PIERCING
-    )
+    return EdgeSet(out, tree, wp.array(pierced, dtype=wp.vec3, device=device), int(piercing.sum()) > MOST_PIERCING)
 
 
 def _entries(adjacency: Adjacency, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -80,7 +80,7 @@ def trace_edges(
     way_out: wp.array2d(dtype=int),
     edges_out: wp.array2d(dtype=int),
 ):
-    """Weighted share of the light samples that a receiver sees; whether it needs all rays; and how many edges it met."""
+    """Weighted share of the light samples that a receiver sees, whether it needs all rays, and the edges it met."""
     row, column = wp.tid()
     y = first_row + first + row
     flags = gbuffer.flags[y, column]
