@@ -60,6 +60,7 @@ def trace_edges(
     samples: SampleBatches,
     piercing_ws: wp.array(dtype=wp.vec3),
     casters: RayCasters,
+    total_weight: float,
     visibility_out: wp.array2d(dtype=float),
     way_out: wp.array2d(dtype=int),
     edges_out: wp.array2d(dtype=int),
@@ -111,7 +112,6 @@ def trace_edges(
     listed = lists.count[cluster]
     f_x, f_y, f_z = from_point[0], from_point[1], from_point[2]
     seen = float(0.0)
-    total = float(0.0)
     edges = int(0)
     us = SampleFloats()
     vs = SampleFloats()
@@ -239,8 +239,6 @@ def trace_edges(
         least = int(HIDDEN)
         for s in range(SAMPLES):
             least = wp.min(least, counts[s])
-        for s in range(SAMPLES):
-            total += held[s]
         if least == HIDDEN:
             continue
         one = int(SAMPLES)
@@ -265,4 +263,4 @@ def trace_edges(
             for s in range(SAMPLES):
                 seen += wp.where(counts[s] == least, held[s], 0.0)
     edges_out[y, column] = edges
-    visibility_out[y, column] = seen / wp.max(total, 1.0e-30)
+    visibility_out[y, column] = seen / wp.max(total_weight, 1.0e-30)

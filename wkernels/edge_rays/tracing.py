@@ -86,6 +86,8 @@ def trace_silhouettes(
     else:
         met = work.buffer("edges met", (height, width), wp.int32)
         plane = light_plane(light, work.device)
+        # in the kernel's order and precision, so that "all seen" is exactly 1
+        total = float(np.add.accumulate(samples.batches.weight.numpy().ravel())[-1])
         lists, clusters, counts = _count_edges(work, gbuffer, known, plane)
         size = int(TILE)
         tiles_y = -(-height // size)
@@ -100,7 +102,7 @@ def trace_silhouettes(
             tiles = (last - first) * lists.tiles_x
             inputs = [clusters, known.tree, known.edges, plane, first * lists.tiles_x, lists.begin, 1]
             work.launch(list_edges, tiles, inputs, [lists.count, lists.block])
-            inputs = [gbuffer, first * size, lists, plane, hull, samples.batches, known.piercing_ws, casters]
+            inputs = [gbuffer, first * size, lists, plane, hull, samples.batches, known.piercing_ws, casters, total]
             rows = min(last * size, height) - first * size
             work.launch(trace_edges, (rows, width), inputs, [visibility_out, way, met])
     needs_rays = (way.numpy() == int(BY_RAYS)) & ((gbuffer.flags.numpy() & int(RECEIVES)) != 0)
