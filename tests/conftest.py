@@ -4,6 +4,7 @@ import os
 import sys
 import warnings
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -64,6 +65,8 @@ def _own_parts_alone() -> Iterator[None]:
         table._added[folder] = parts
 
 
+OWN_KINDS = (Path(kinds.__path__[0]), Path(kinds.__path__[0]).parent)
+"""Where modules of kinds stand: in folders of their own, but for those that all share."""
 OURS = ("WKERNELS_", "WARP_", "XDG_", "HOME", "PATH", "PYTHON", "OPENBLAS_")
 """How variables begin that change what is tested; libraries set others when they are imported."""
 
@@ -79,13 +82,19 @@ def _state_of_process() -> dict[str, Any]:
             name: value for name, value in vars(wp.config).items() if isinstance(value, bool | int | str)
         },
         "how launches are cut": (launching.WORTH_SHARING_S, launching.default_threads()),
-        "kinds of experiment": (list(kinds.__path__), sorted(name for name in vars(kinds) if name[0] != "_")),
+        "kinds of experiment": (list(kinds.__path__), _strangers()),
         "stiff cases": list(CASES),
         "generators": list(generators.__path__),
         "mesh readers": dict(READERS),
         "metrics": dict(METRICS),
         "light kinds": dict(LIGHT_KINDS),
     }
+
+
+def _strangers() -> list[str]:
+    """Kinds of experiment that have been imported from elsewhere than our folder."""
+    files = {name: getattr(item, "__file__", None) for name, item in vars(kinds).items() if name[0] != "_"}
+    return sorted(name for name, file in files.items() if file and Path(file).parents[1] not in OWN_KINDS)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -7,7 +7,8 @@ equation 3) is that of independent samples; with a low-discrepancy set the true 
 edges.
 
 On the CPU all rays of a receiver are cast at once, against the triangles that touch the pyramid from it to the light
-(``wkernels/rays/shaft_rays.py``); on CUDA one after the other.
+(``wkernels/rays/shaft_rays.py``), or, if they are at most 8 and no texture cuts anything out, against those that they
+pass near (``wkernels/rays/few_rays.py``), which decides alike but within rounding; on CUDA one after the other.
 
 Deviation: pixels that can be *proven* wholly lit (no caster touches the shaft to the light) or wholly dark (one
 triangle hides the light's convex hull, or the light is behind the surface) cast no further rays; the result is the same
@@ -23,6 +24,7 @@ import warp as wp
 from algorithms.technique import Frame, Limit, Technique, setting
 from algorithms.technique import Params as BaseParams
 from wkernels.device.lanes import uses_lanes
+from wkernels.rays.few_rays import MOST_SAMPLES, runs_of_image, trace_few
 from wkernels.rays.shaft_rays import trace_shafts
 from wkernels.rays.single_rays import PROVEN_DARK, PROVEN_LIT, binomial_standard_error, trace_light
 from wkernels.workspace.left_out import Because, Omission
@@ -70,15 +72,17 @@ class ReferenceMultisample(Technique):
         error = frame.standard_error = frame.buffer("standard error", visibility.shape, wp.float32)
         proves = frame.may_leave_out(Skip.PROVEN)
         hull = frame.light_hull()
-        if uses_lanes(frame.device):
-            kernel, inputs = trace_shafts, [gbuffer, frame.caster_tree(), samples.batches, hull, int(proves)]
+        rest = [hull, int(proves)]
+        grid: tuple[int, ...] = visibility.shape
+        if not uses_lanes(frame.device):
+            kernel, inputs = trace_light, [gbuffer, frame.caster_mesh(), samples.points_ws, samples.weights, *rest]
+        elif len(samples.host) <= MOST_SAMPLES and frame.geometry.cutouts.count == 0:
+            kernel, inputs = trace_few, [gbuffer, frame.caster_tree(), samples.few, *rest]
+            grid = runs_of_image(visibility.shape)
         else:
-            kernel, inputs = (
-                trace_light,
-                [gbuffer, frame.caster_mesh(), samples.points_ws, samples.weights, hull, int(proves)],
-            )
+            kernel, inputs = trace_shafts, [gbuffer, frame.caster_tree(), samples.batches, *rest]
         with frame.timed("shadow rays"):
-            frame.launch(kernel, visibility.shape, inputs, [visibility, proof])
+            frame.launch(kernel, grid, inputs, [visibility, proof])
             frame.launch(binomial_standard_error, visibility.shape, [visibility, float(count)], [error])
         frame.count_later(Skip.PROVEN, lambda: int(np.isin(proof.numpy(), (PROVEN_LIT, PROVEN_DARK)).sum()))
         return visibility

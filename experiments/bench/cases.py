@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from experiments.bench import frames, memory, passes, references, scaling, startup
-from experiments.bench.plan import Bench, SceneMissing
+from experiments.bench.plan import SCENES, Bench, SceneMissing
 from experiments.bench.rows import Row, Target
 from wkernels.errors import InputError, nearest
 
@@ -15,8 +15,13 @@ CASES: dict[str, Callable[[Bench, str], Iterator[Row]]] = {
     **{f"depth_{size}": partial(passes.draw_depth, size=size) for size in ("10k", "250k", "2500k")},
     "gbuffer_250k": passes.draw_gbuffer,
     "pcss_16_16": passes.filter_pcss,
-    "reference_256": references.trace_beside_mitsuba,
-    "reference_embreex": references.trace_beside_embreex,
+    **{
+        f"reference_{samples}": partial(references.trace_over_scenes, samples=samples, scenes=SCENES)
+        for samples in (256, 1024)
+    },
+    "silhouettes_64": partial(references.trace_over_scenes, samples=64, scenes=SCENES, technique="silhouette_samples"),
+    "reference_direct": references.render_beside_mitsuba,
+    "scale_rays": references.trace_over_counts,
     "paris_1024x768": frames.compare_frame_with_passes,
     "tc_against_pcss": frames.compare_temporal,
     "nothing_casts": frames.compare_with_nothing,
@@ -40,7 +45,8 @@ TARGETS = {
     "depth_2500k": Target(ratio=5.0),
     "gbuffer_250k": Target(ratio=3.5),
     "pcss_16_16": Target(ratio=5.5),
-    "reference_256": Target(ratio=1.0),
+    **{f"reference_256.{scene}": Target(ratio=3.0) for scene in ("paris", "overlap")},
+    **{f"reference_1024.{scene}": Target(ratio=8.0) for scene in ("paris", "overlap")},
     "paris_1024x768": Target(ratio=1.0),
     "tc_against_pcss": Target(ratio=2.0),
     "nothing_casts": Target(ratio=1.0 / 1.05),

@@ -15,13 +15,15 @@ from wkernels.scene.model import Scene
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
+SCENES = ("paris", "overlap", "bunny", "big_penumbra", "winter")
+
 
 class SceneMissing(Exception):
     """A scene file is not there, as where configs/ is not beside the installed packages; the message names it."""
 
 
 def _scene_files() -> dict[str, Path | Scene]:
-    return {name: CONFIGS / "scenes" / f"{name}.yaml" for name in ("overlap", "paris", "winter")}
+    return {name: CONFIGS / "scenes" / f"{name}.yaml" for name in SCENES}
 
 
 @dataclass(frozen=True)
@@ -37,8 +39,8 @@ class Sizes:
         samples: Points on the light of techniques that take more by default, in whole frames.
         walk_frames: Frames of the demo's walkthrough.
         reference: Width and height of references [pixels].
-        reference_samples: Rays per pixel.
-        reference_frame: Frame of the scene's path: in paris before the tower, where penumbrae are many.
+        reference_frame: Frame of paris' path: before the tower, where penumbrae are many. Other scenes begin theirs.
+        reference_counts: Growing rays per pixel.
         embree_rays: About as many rays go through embreex, which gets one at a time; its time is scaled.
         triangle_mixes: Meshes of growing size by name.
         map_sides: Growing texels per side.
@@ -64,8 +66,8 @@ class Sizes:
     samples: int = 16
     walk_frames: int = 25
     reference: tuple[int, int] = (512, 384)
-    reference_samples: int = 256
     reference_frame: int = 125
+    reference_counts: Sequence[int] = (16, 64, 256, 1024, 4096)
     embree_rays: int = 2_000_000
     triangle_mixes: Mapping[str, Mix] = field(
         default_factory=lambda: {

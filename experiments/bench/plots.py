@@ -14,6 +14,7 @@ from experiments.bench.rows import Row
 from experiments.report.style import INK, Look, log_axis, new_figure, save, styled
 
 _OURS = "ours"
+_PEERS_ONLY = ("embreex",)  # series that repeat our times beside another peer
 _SERIES = {"rasteriser": "depth pass", "gbuffer": "depth and triangle pass", "pcss": "pixel pass of pcss"}
 
 
@@ -45,6 +46,7 @@ PLOTS = {
     "scale_map": Plot("scale_map", "map_side", "map side [texels]"),
     "scale_image": Plot("scale_image", "pixels", "pixels"),
     "scale_image_each": Plot("scale_image", "pixels", "pixels", "time per pixel [ns]", ("pixels", 1e6)),
+    "scale_rays": Plot("scale_rays", "samples", "light samples", "shadow rays of a frame [ms]"),
     "scale_samples": Plot("scale_samples", "samples", "light samples per frame", "frame time [ms]"),
 }
 """The plots by file name."""
@@ -112,7 +114,8 @@ def _lines(plot: Plot, rows: Sequence[Row]) -> dict[tuple[str, str | None], list
             lines.setdefault((series, None), []).append((x, row.ratio or 1.0))
             continue
         assert row.ours_ms is not None
-        lines.setdefault((series or _OURS, None), []).append((x, row.ours_ms * scale))
+        if series not in _PEERS_ONLY:
+            lines.setdefault((series or _OURS, None), []).append((x, row.ours_ms * scale))
         if row.peer is not None and row.peer_ms is not None:
             lines.setdefault((series or _OURS, row.peer), []).append((x, row.peer_ms * scale))
     return lines

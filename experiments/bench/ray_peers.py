@@ -106,9 +106,9 @@ class Mitsuba:
         self._mesh = mesh
         self._scene: Any = mi.load_dict({"type": "scene", "casters": mesh})
 
-    def upload(self, rays: ShadowRays) -> MitsubaRays:
-        """The rays' origins and lights, ready to be traced."""
-        return MitsubaRays(self._mi, self._dr, self._scene, rays)
+    def upload(self, rays: ShadowRays, most: int) -> MitsubaRays:
+        """The rays' origins and lights, ready to be traced; about ``most`` of them, as they are held all at once."""
+        return MitsubaRays(self._mi, self._dr, self._scene, rays, most)
 
     def direct(self, samples: int) -> MitsubaDirect:
         """The whole image by Mitsuba's integrator of direct light.
@@ -133,21 +133,29 @@ class Mitsuba:
 
 
 class MitsubaRays:
-    """See ``Mitsuba.upload``: all rays in one compiled kernel, those of a pixel side by side."""
+    """See ``Mitsuba.upload``: all rays in one compiled kernel, those of a pixel side by side.
 
-    def __init__(self, mi: Any, dr: Any, scene: Any, rays: ShadowRays) -> None:
+    Attributes:
+        kept: Which of the rays' pixels are traced.
+        share: How many of them, of all.
+    """
+
+    def __init__(self, mi: Any, dr: Any, scene: Any, rays: ShadowRays, most: int) -> None:
         self._mi, self._dr, self._scene = mi, dr, scene
-        self._samples, self._pixels = len(rays.light_ws), len(rays.origin_ws)
-        columns = np.ascontiguousarray(rays.origin_ws.T), np.ascontiguousarray(rays.normal_ws.T)
+        self.kept = slice(None, None, max(1, -(-rays.count // most)))
+        origin, normal = rays.origin_ws[self.kept], rays.normal_ws[self.kept]
+        self.share = len(origin) / max(len(rays.origin_ws), 1)
+        self._samples, self._pixels = len(rays.light_ws), len(origin)
+        columns = np.ascontiguousarray(origin.T), np.ascontiguousarray(normal.T)
         self._origin, self._normal = mi.Point3f(columns[0]), mi.Vector3f(columns[1])
-        self._front = mi.Bool(rays.lit_by_front)
+        self._front = mi.Bool(np.ascontiguousarray(rays.lit_by_front[self.kept]))
         self._light = mi.Vector3f(np.ascontiguousarray(rays.light_ws[:, :3].T))
         self._here = mi.Float(np.ascontiguousarray(rays.light_ws[:, 3]))
         self._out: Any = None
         dr.eval(self._origin, self._normal, self._front, self._light, self._here)
 
     def draw(self) -> float:
-        """Traces; milliseconds until every pixel's visibility is there."""
+        """Traces; milliseconds until every kept pixel's visibility is there, scaled to all."""
         mi, dr = self._mi, self._dr
         begin = time.perf_counter()
         index = dr.arange(mi.UInt32, self._pixels * self._samples)
@@ -163,10 +171,10 @@ class MitsubaRays:
         self._out = dr.block_sum(share, self._samples)
         dr.eval(self._out)
         dr.sync_thread()
-        return (time.perf_counter() - begin) * 1e3
+        return (time.perf_counter() - begin) * 1e3 / self.share
 
     def visibility(self) -> np.ndarray:
-        """Of the rays' pixels, float32 (n,)."""
+        """Of the pixels ``kept``, float32."""
         return np.array(self._out)
 
 

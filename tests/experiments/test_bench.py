@@ -182,7 +182,9 @@ def test_further_figures_become_keys_of_the_row() -> None:
 
 
 def test_a_missing_scene_is_named(tmp_path: Path) -> None:
-    sizes = replace(TINY, scenes=dict.fromkeys(("overlap", "paris", "winter"), tmp_path / "gone.yaml"))
+    sizes = replace(
+        TINY, scenes=dict.fromkeys(("overlap", "paris", "winter", "bunny", "big_penumbra"), tmp_path / "gone.yaml")
+    )
     for name in ("frames.overlap", "reference_256", "paris_1024x768", "scale_samples", "memory_1000_frames"):
         (row,) = run_case(Bench(sizes, 1, 1, "none"), name)
         assert row.name == name and row.ours_ms is None and "gone.yaml is missing" in row.note

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from wkernels.rays.few_rays import FewSamples, few_samples
 from wkernels.rays.shaft_rays import SampleBatches, sample_batches
 
 
@@ -26,6 +27,7 @@ class LightSamples:
     weights: wp.array
     weights_host: np.ndarray
     _batches: SampleBatches | None = None
+    _few: FewSamples | None = None
 
     @property
     def batches(self) -> SampleBatches:
@@ -33,3 +35,10 @@ class LightSamples:
         if self._batches is None:
             self._batches = sample_batches(self.host, self.weights_host, str(self.points_ws.device))
         return self._batches
+
+    @property
+    def few(self) -> FewSamples:
+        """The same for ``few_rays``, of at most ``few_rays.MOST_HELD``."""
+        if self._few is None:
+            self._few = few_samples(self.host, self.weights_host, str(self.points_ws.device))
+        return self._few
