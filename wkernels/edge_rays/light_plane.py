@@ -100,7 +100,8 @@ def touching(light: Light, triangles: np.ndarray) -> np.ndarray:
     centre, edge_u, edge_v = _flat_frame(light)
     normal = np.cross(edge_u, edge_v)
     normal /= np.linalg.norm(normal)
-    local = (points - centre) @ np.linalg.inv(np.stack([edge_u, edge_v, normal], axis=1)).T
+    with np.errstate(invalid="ignore"):  # corners that are no finite positions reach nowhere
+        local = (points - centre) @ np.linalg.inv(np.stack([edge_u, edge_v, normal], axis=1)).T
     slab = 1.0e-3 * max(np.linalg.norm(edge_u), np.linalg.norm(edge_v)) + 1.0e-5 * np.abs(centre).max()
     out = np.zeros(len(points), bool)
     with np.errstate(invalid="ignore"):
