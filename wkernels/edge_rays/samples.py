@@ -11,7 +11,7 @@ from wkernels.raster.gbuffer import GBuffer
 from wkernels.rays.light_proofs import LightHull
 from wkernels.rays.ray_casters import RayCasters
 from wkernels.rays.shaft_rays import BATCH, BEFORE_SAMPLE, SampleBatches, cross_unfused
-from wkernels.rays.single_rays import is_occluded, ray_origin
+from wkernels.rays.single_rays import ORIGIN_ERROR, is_occluded, ray_origin
 from wkernels.scene.geometry import CASTS, RECEIVES
 
 SAMPLES = wp.constant(BATCH)
@@ -47,6 +47,15 @@ def hides(a: wp.vec3, b: wp.vec3, c: wp.vec3, way: wp.vec3, is_point: float):
     inside = wp.min(wp.min(e_a * sign, e_b * sign), e_c * sign) >= 0.0
     before = is_point == 0.0 or (e_a + e_b + e_c) * sign * BEFORE_SAMPLE >= height * sign
     return height != 0.0 and inside and before
+
+
+@wp.func
+def starts_in_face(casters: RayCasters, gbuffer: GBuffer, y: int, x: int, origin: wp.vec3, light_ws: wp.vec4):
+    """Whether a ray meets a face where it begins, within rounding: single rays and shafts may differ on it."""
+    p = gbuffer.position_ws[y, x]
+    size = wp.max(wp.max(wp.abs(p[0]), wp.abs(p[1])), wp.max(wp.abs(p[2]), wp.abs(gbuffer.depth[y, x])))
+    way = wp.vec3(light_ws[0], light_ws[1], light_ws[2]) - origin * light_ws[3]
+    return wp.mesh_query_ray_anyhit(casters.mesh, origin, way / wp.length(way), 4.0 * ORIGIN_ERROR * size)
 
 
 @wp.kernel
@@ -220,7 +229,11 @@ def trace_edges(
         held = samples.weight[batch]
         if edges == 0 and ahead and piercing_ws.shape[0] == 0:
             light_ws = wp.vec4(xs[0], ys[0], zs[0], hull.is_point)
-            visibility_out[y, column] = wp.where(is_occluded(casters, origin, light_ws, hull.reach), 0.0, 1.0)
+            dark = is_occluded(casters, origin, light_ws, hull.reach)
+            if dark:
+                if starts_in_face(casters, gbuffer, y, column, origin, light_ws):
+                    way_out[y, column] = BY_RAYS
+            visibility_out[y, column] = wp.where(dark, 0.0, 1.0)
             return
         if edges == 0:
             for s in range(SAMPLES):
@@ -251,7 +264,9 @@ def trace_edges(
         light_ws = wp.vec4(xs[one], ys[one], zs[one], hull.is_point)
         hidden = is_occluded(casters, origin, light_ws, hull.reach)
         agreed = bool(True)
-        if other != one:
+        if hidden:
+            agreed = not starts_in_face(casters, gbuffer, y, column, origin, light_ws)
+        if other != one and agreed:
             light_ws = wp.vec4(xs[other], ys[other], zs[other], hull.is_point)
             agreed = is_occluded(casters, origin, light_ws, hull.reach) == hidden
         if beyond >= 0 and agreed:

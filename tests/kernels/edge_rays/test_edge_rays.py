@@ -215,6 +215,14 @@ def test_scenes_of_experiments(name: str, device: str) -> None:
     assert_same(edges, rays, 64, penumbra=0.0)
 
 
+def test_a_face_through_the_receiver_sends_it_to_rays(device: str) -> None:
+    """In a corner of paris a single ray meets the neighbouring face where it begins; the shafts' rays do not."""
+    session = open_session(load_scene(SCENES / "paris.yaml"), device, size=(640, 360))
+    edges, rays, by_rays = both_ways(session, 64)
+    assert_same(edges, rays, 64)
+    assert 0 < by_rays < 1e-3 * len(edges)
+
+
 def test_bands_and_threads_change_no_bit(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = small.cluttered(small.light("disc", (2.0, 8.0, -1.0)))
     first = both_ways(open_session(scene, device, threads=1), 64)[0]
