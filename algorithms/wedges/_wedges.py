@@ -12,10 +12,18 @@ import warp as wp
 from algorithms.technique import Frame, Limit, Technique, setting
 from algorithms.technique import Params as BaseParams
 from wkernels.casters.volume_counts import Uncounted
+from wkernels.casters.wedges.bodies import WedgeRule
+from wkernels.casters.wedges.passes import (
+    Prepared,
+    Stage,
+    add_part,
+    prepare,
+    see_by_wedges,
+    see_casters_apart,
+    see_hard,
+)
+from wkernels.casters.wedges.stored import StorageRule
 from wkernels.scene.lights import Light, RectangleLight
-from wkernels.wedges.bodies import WedgeRule
-from wkernels.wedges.passes import Prepared, Stage, add_part, prepare, see_by_wedges, see_casters_apart, see_hard
-from wkernels.wedges.stored import StorageRule
 from wkernels.workspace.left_out import Because, Omission
 from wkernels.workspace.products import Product
 

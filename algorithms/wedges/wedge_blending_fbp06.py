@@ -14,8 +14,8 @@ import warp as wp
 
 from algorithms.technique import Needs
 from algorithms.wedges._wedges import WedgeParams, WedgeTechnique, see_parts
+from wkernels.casters.wedges.passes import Stage, see_cells
 from wkernels.scene.lights import Light
-from wkernels.wedges.passes import Stage, see_cells
 
 
 class WedgeBlendingFbp06(WedgeTechnique):

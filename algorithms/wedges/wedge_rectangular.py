@@ -21,9 +21,9 @@ import warp as wp
 
 from algorithms.technique import Needs, setting
 from algorithms.wedges._wedges import SummedParams, WedgeTechnique, see_parts, see_summed
+from wkernels.casters.wedges.bodies import WedgeRule
+from wkernels.casters.wedges.passes import Stage
 from wkernels.scene.lights import Light
-from wkernels.wedges.bodies import WedgeRule
-from wkernels.wedges.passes import Stage
 
 
 class WedgeRectangular(WedgeTechnique):

@@ -15,12 +15,12 @@ For one silhouette loop that is exact, inside and outside of the hard shadow.
 
 Deviations: a wedge is the hull of the edge and the directions in which the light is mirrored at its ends, which is
 tighter than the published wedge. All lies on tiles and lanes of pixels, there is no stencil and no order. Pixels next
-to a hard volume's side are counted again by the wedges' own edges (``wkernels.wedges.recounting``). A surface that
-casts shows no more of the light than lies before its own plane. Edges are clipped at the light too, so that it may be
-within the casters' box. Casters need not be closed, as for ``shadow_volume_zpass``. Known artefacts: casters that
-overlap on the light take the same part away twice, too dark (``overlap: probabilistic`` halves it); silhouettes are
-those of the centre, so that a caster that shows other sides to other points of the light has a penumbra too narrow or
-too wide; spheres count as discs, 0.5 % too small at ten radii and 6 % at three.
+to a hard volume's side are counted again by the wedges' own edges (``casters.wedges.recounting``). A surface that casts
+shows no more of the light than lies before its own plane. Edges are clipped at the light too, so that it may be within
+the casters' box. Casters need not be closed, as for ``shadow_volume_zpass``.
+Known artefacts: casters that overlap on the light take the same part away twice, too dark (``overlap: probabilistic``
+halves it); silhouettes are those of the centre, so that a caster that shows other sides to other points of the light
+has a penumbra too narrow or too wide; spheres count as discs, 0.5 % too small at ten radii and 6 % at three.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ import warp as wp
 
 from algorithms.technique import Needs
 from algorithms.wedges._wedges import SummedParams, WedgeTechnique, see_parts, see_summed
+from wkernels.casters.wedges.passes import Stage
 from wkernels.scene.lights import Light
-from wkernels.wedges.passes import Stage
 
 
 class WedgeSpherical(WedgeTechnique):

@@ -20,9 +20,9 @@ import warp as wp
 
 from algorithms.technique import Needs, setting
 from algorithms.wedges._wedges import WedgeParams, WedgeTechnique, see_parts
+from wkernels.casters.wedges.passes import Prepared, Stage, see_by_wedges, see_textured
+from wkernels.casters.wedges.textures import LightTexture, light_texture
 from wkernels.scene.lights import Light, RectangleLight
-from wkernels.wedges.passes import Prepared, Stage, see_by_wedges, see_textured
-from wkernels.wedges.textures import LightTexture, light_texture
 from wkernels.workspace.workspace import Workspace
 
 

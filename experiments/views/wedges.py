@@ -9,10 +9,10 @@ from experiments.views.sheet import Bar, Chips, Panel, Sheet
 from experiments.views.silhouettes import loop_color
 from experiments.views.subject import Subject
 from experiments.views.surfaces import base, draw_frustum
-from wkernels.wedges.bodies import corners_each
-from wkernels.wedges.halves import see_halves
-from wkernels.wedges.light_shapes import shape_of
-from wkernels.wedges.passes import Prepared, Stage, prepare
+from wkernels.casters.wedges.bodies import corners_each
+from wkernels.casters.wedges.halves import see_halves
+from wkernels.casters.wedges.light_shapes import shape_of
+from wkernels.casters.wedges.passes import Prepared, Stage, prepare
 
 SHOWN = 8
 """Wedges of one caster that are drawn, at most."""

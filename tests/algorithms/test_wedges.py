@@ -13,12 +13,12 @@ import warp as wp
 from compare import edge_band
 from sessions import open_session, render, render_frames, technique, true_visibility
 
+from wkernels.casters.wedges.coverage import beyond_in_square
+from wkernels.casters.wedges.stored import BUFFERS, Channels, add_code, stored_code, stored_sum
+from wkernels.casters.wedges.textures import LightTexture, light_beyond, light_texture
 from wkernels.device.launch import launch
 from wkernels.scene.lights import DiscLight, Light, RectangleLight, SphereLight
 from wkernels.scene.model import Camera, Mesh, Scene
-from wkernels.wedges.coverage import beyond_in_square
-from wkernels.wedges.stored import BUFFERS, Channels, add_code, stored_code, stored_sum
-from wkernels.wedges.textures import LightTexture, light_beyond, light_texture
 from wkernels.workspace.products import Product
 from wkernels.workspace.workspace import Workspace
 

@@ -17,9 +17,9 @@ import numpy as np
 import warp as wp
 
 from wkernels.casters.silhouettes import Silhouettes
+from wkernels.casters.wedges.light_shapes import FACING, SUN, HostShape
 from wkernels.raster.binning import Binner, TileLists
 from wkernels.scene.views import View
-from wkernels.wedges.light_shapes import FACING, SUN, HostShape
 from wkernels.workspace.products import Product
 from wkernels.workspace.workspace import Workspace
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import warp as wp
 
+from wkernels.casters.wedges.bodies import WedgeEdges
+from wkernels.casters.wedges.coverage import beyond, clip_to_light, on_light
+from wkernels.casters.wedges.light_shapes import LightShape, see_light, seen
+from wkernels.casters.wedges.near_lists import NearLists
+from wkernels.casters.wedges.passes import Prepared
 from wkernels.raster.binning import tile_at
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.scene.geometry import RECEIVES
-from wkernels.wedges.bodies import WedgeEdges
-from wkernels.wedges.coverage import beyond, clip_to_light, on_light
-from wkernels.wedges.light_shapes import LightShape, see_light, seen
-from wkernels.wedges.near_lists import NearLists
-from wkernels.wedges.passes import Prepared
 
 
 @wp.kernel

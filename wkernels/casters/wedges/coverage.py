@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from wkernels.wedges.light_shapes import DISC, SQUARE, Sight
+from wkernels.casters.wedges.light_shapes import DISC, SQUARE, Sight
 
 PI = wp.constant(3.14159265358979)
 HALF_PI = wp.constant(1.5707963267948966)

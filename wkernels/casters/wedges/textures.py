@@ -13,15 +13,15 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from wkernels.casters.wedges.bodies import WedgeEdges
+from wkernels.casters.wedges.coverage import border_at, clip_to_light, on_light
+from wkernels.casters.wedges.light_shapes import LightShape, see_light, seen
+from wkernels.casters.wedges.near_lists import NearLists
+from wkernels.casters.wedges.recounting import blur_of, count_hiding_faces, is_left, passes_centre
+from wkernels.casters.wedges.shading import Faces, lit_share
 from wkernels.raster.binning import tile_at
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.scene.geometry import RECEIVES
-from wkernels.wedges.bodies import WedgeEdges
-from wkernels.wedges.coverage import border_at, clip_to_light, on_light
-from wkernels.wedges.light_shapes import LightShape, see_light, seen
-from wkernels.wedges.near_lists import NearLists
-from wkernels.wedges.recounting import blur_of, count_hiding_faces, is_left, passes_centre
-from wkernels.wedges.shading import Faces, lit_share
 from wkernels.workspace.workspace import Workspace
 
 STEPS = wp.constant(32)

@@ -18,15 +18,15 @@ from typing import Any, Literal
 import numpy as np
 import warp as wp
 
+from wkernels.casters.wedges.bodies import WedgeEdges
+from wkernels.casters.wedges.coverage import beyond, border_at, clip_to_light, on_light
+from wkernels.casters.wedges.light_shapes import DISC, LightShape, see_light, seen
+from wkernels.casters.wedges.near_lists import NearLists
+from wkernels.casters.wedges.recounting import blur_of, passes_centre
+from wkernels.casters.wedges.shading import UNTRUSTED, lit_share
 from wkernels.raster.binning import tile_at
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.scene.geometry import RECEIVES
-from wkernels.wedges.bodies import WedgeEdges
-from wkernels.wedges.coverage import beyond, border_at, clip_to_light, on_light
-from wkernels.wedges.light_shapes import DISC, LightShape, see_light, seen
-from wkernels.wedges.near_lists import NearLists
-from wkernels.wedges.recounting import blur_of, passes_centre
-from wkernels.wedges.shading import UNTRUSTED, lit_share
 
 CoverageRule = Literal["analytic", "table"]
 BufferRule = Literal["f32", "split12", "lut10", "bits6of8"]

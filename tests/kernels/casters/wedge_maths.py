@@ -1,4 +1,4 @@
-"""Penumbra wedges in NumPy, float64: the twin of ``wkernels.wedges.coverage``, and exact areas by clipping polygons.
+"""Penumbra wedges in NumPy, float64: the twin of ``wkernels.casters.wedges.coverage``, and exact areas by clipping polygons.
 
 Light space: the light's plane is z = 0, the receiver a point p = (x, y, z) with z < 0, edges lie between.
 """

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from wkernels.casters.wedges.light_shapes import Sight
 from wkernels.scene.views import View
-from wkernels.wedges.light_shapes import Sight
 
 PIXELS = wp.constant(1.0 / 64.0)
 """Distance from a hard volume's side, pixels, up to which its count is not trusted: four steps of the grid."""

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import warp as wp
 
+from wkernels.casters.wedges.bodies import WedgeEdges
+from wkernels.casters.wedges.light_shapes import SUN, LightShape
 from wkernels.raster.binning import TileLists
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.scene.geometry import RECEIVES
-from wkernels.wedges.bodies import WedgeEdges
-from wkernels.wedges.light_shapes import SUN, LightShape
 
 SLACK = wp.constant(1.0001)
 """On radii, for what float32 rounds."""

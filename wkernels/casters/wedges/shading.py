@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import warp as wp
 
+from wkernels.casters.wedges.bodies import WedgeEdges
+from wkernels.casters.wedges.coverage import beyond, clip_to_light, on_light, share_above
+from wkernels.casters.wedges.light_shapes import FACING, SUN, LightShape, Sight, see_light, seen
+from wkernels.casters.wedges.near_lists import NearLists
+from wkernels.casters.wedges.recounting import blur_of, count_hiding_faces, is_left, passes_centre
 from wkernels.raster.binning import tile_at
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.scene.geometry import CASTS, RECEIVES
-from wkernels.wedges.bodies import WedgeEdges
-from wkernels.wedges.coverage import beyond, clip_to_light, on_light, share_above
-from wkernels.wedges.light_shapes import FACING, SUN, LightShape, Sight, see_light, seen
-from wkernels.wedges.near_lists import NearLists
-from wkernels.wedges.recounting import blur_of, count_hiding_faces, is_left, passes_centre
 
 UNTRUSTED = wp.constant(-1.0)
 """Visibility of a receiver that ``settle`` has still to see to."""

@@ -12,20 +12,20 @@ from wkernels.casters.pulls import pull_edges, pull_silhouettes
 from wkernels.casters.silhouettes import Silhouettes
 from wkernels.casters.volume_counts import count_volumes
 from wkernels.casters.volume_stencil import darken_in_volumes
+from wkernels.casters.wedges.bodies import WedgeRule, Wedges, bin_wedges, pull_wedges
+from wkernels.casters.wedges.cells import shade_cells
+from wkernels.casters.wedges.light_shapes import HostShape, LightShape, shape_of
+from wkernels.casters.wedges.near_lists import NearLists, keep_all, keep_near
+from wkernels.casters.wedges.shading import Faces, hide_behind_own_plane, settle
+from wkernels.casters.wedges.shading_lanes import SHADE
+from wkernels.casters.wedges.stored import PLAIN, StorageRule, shade_stored
+from wkernels.casters.wedges.textures import LightTexture, shade_textured
 from wkernels.raster import Rasteriser
 from wkernels.raster.binning import Binner
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.scene.geometry import Geometry
 from wkernels.scene.lights import Light
 from wkernels.scene.views import HostView
-from wkernels.wedges.bodies import WedgeRule, Wedges, bin_wedges, pull_wedges
-from wkernels.wedges.cells import shade_cells
-from wkernels.wedges.light_shapes import HostShape, LightShape, shape_of
-from wkernels.wedges.near_lists import NearLists, keep_all, keep_near
-from wkernels.wedges.shading import Faces, hide_behind_own_plane, settle
-from wkernels.wedges.shading_lanes import SHADE
-from wkernels.wedges.stored import PLAIN, StorageRule, shade_stored
-from wkernels.wedges.textures import LightTexture, shade_textured
 from wkernels.workspace.workspace import Workspace
 
 

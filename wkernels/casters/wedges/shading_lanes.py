@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import warp as wp
 
+from wkernels.casters.wedges.bodies import WedgeEdges
+from wkernels.casters.wedges.coverage import beyond_in_disc, beyond_in_square, enters, enters_disc, leaves, leaves_disc
+from wkernels.casters.wedges.light_shapes import DISC, SQUARE, LightShape, see_light
+from wkernels.casters.wedges.near_lists import NearLists
+from wkernels.casters.wedges.recounting import blur_of, passes_centre
+from wkernels.casters.wedges.shading import UNTRUSTED, lit_share, shade
 from wkernels.device.lanes import LANES, Floats, Ints, runs_of, store_run
 from wkernels.device.twin import Twin
 from wkernels.raster.binning import tile_at
 from wkernels.raster.gbuffer import PADDING, GBuffer
 from wkernels.scene.geometry import RECEIVES
-from wkernels.wedges.bodies import WedgeEdges
-from wkernels.wedges.coverage import beyond_in_disc, beyond_in_square, enters, enters_disc, leaves, leaves_disc
-from wkernels.wedges.light_shapes import DISC, SQUARE, LightShape, see_light
-from wkernels.wedges.near_lists import NearLists
-from wkernels.wedges.recounting import blur_of, passes_centre
-from wkernels.wedges.shading import UNTRUSTED, lit_share, shade
 
 
 @wp.struct

@@ -7,10 +7,10 @@ import pytest
 import warp as wp
 from wedge_maths import beyond, clip, clipped_area, hidden_by_loops, seen, winding
 
+from wkernels.casters.wedges import coverage
+from wkernels.casters.wedges.light_shapes import DISC, FACING, SQUARE, LightShape, Sight, see_light
+from wkernels.casters.wedges.light_shapes import seen as seen_on_device
 from wkernels.device.launch import launch
-from wkernels.wedges import coverage
-from wkernels.wedges.light_shapes import DISC, FACING, SQUARE, LightShape, Sight, see_light
-from wkernels.wedges.light_shapes import seen as seen_on_device
 
 SHAPES = {"disc": int(DISC), "square": int(SQUARE)}
 
