@@ -21,6 +21,7 @@ FAMILIES = (
     "backprojection",
     "light_sampling",
     "volumes",
+    "wedges",
     "outer_penumbrae",
     "temporal",
     "reference",

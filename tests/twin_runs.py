@@ -60,6 +60,8 @@ STILL: list[tuple[str, dict[str, Any]]] = [
     ("shadow_volume_zpass", {"shadowed": "nonzero"}),
     ("penumbra_maps", {}),
     ("smoothies", {}),
+    ("wedge_spherical", {}),
+    ("wedge_rectangular", {}),
 ]
 OVER_TIME: list[tuple[str, dict[str, Any]]] = [
     ("tc_hard", {}),

@@ -83,6 +83,22 @@ KINDS: Mapping[str, Kind] = {
         needs_map=False,
         pulls=Product.SILHOUETTES,
     ),
+    "wedges": Kind(
+        "Penumbra wedges",
+        "Bodies in which silhouette edges cover or uncover a part of the light, a few of each caster's: behind the "
+        "edge, between the ways from the light's border through its ends.",
+        ("third",),
+        needs_map=False,
+        pulls=Product.WEDGES,
+    ),
+    "v_buffer": Kind(
+        "V-buffer",
+        "What the inner halves of wedges add to the hard shadow, what the outer halves take from the light, and how "
+        "many wedges do either in a pixel.",
+        ("eye",),
+        needs_map=False,
+        pulls=Product.WEDGES,
+    ),
     "depth_map": Kind("Depth maps", "Linear depth from the light, layer by layer.", ("map",)),
     "shadow_area_waste": Kind(
         "Wasted shadow-map area",

@@ -12,7 +12,7 @@ from experiments.results.images import write_png
 from experiments.results.store import Store
 from experiments.results.tables import write_text
 from experiments.schema.view_kinds import KINDS, picture_names
-from experiments.views import error_plot, light_maps, silhouettes, space, surfaces
+from experiments.views import error_plot, light_maps, silhouettes, space, surfaces, wedges
 from experiments.views.sheet import Sheet, composed
 from experiments.views.subject import Subject
 from experiments.views.words import projection_in_words
@@ -42,6 +42,8 @@ _DRAW: Mapping[str, Callable[[Subject], Sheet]] = {
     "difference_third": lambda subject: surfaces.difference(subject, "third"),
     "silhouettes_eye": lambda subject: silhouettes.silhouettes(subject, "eye"),
     "silhouettes_third": lambda subject: silhouettes.silhouettes(subject, "third"),
+    "wedges_third": wedges.wedges,
+    "v_buffer_eye": wedges.v_buffer,
     "intersection_bodies_third": space.intersection_bodies,
     "frusta_third": space.frusta,
     "minimap_third": space.minimap,

@@ -49,7 +49,7 @@ def test_all_pictures_are_there_and_the_report_shows_them(whole: Path) -> None:
     assert not store.pictures("ray_cast_point_shadow")
     rows = [row for row in store.rows("left_out") if row["what"].startswith("views ")]
     mapless = [row["label"] for row in rows if "reads no light map" in row["reason"]]
-    foreign = {row["label"] for row in rows if row["what"] == "views silhouettes"}
+    foreign = {row["label"] for row in rows if row["what"].startswith("views silhouettes")}
     assert mapless == ["ray_cast_point_shadow"] and foreign == {"shadow_map", "ray_cast_point_shadow"}
     page = (whole / "report.html").read_text()
     assert page.count("<figcaption>") >= 16 and "shadow_map, light views, frame 0" in page
@@ -104,7 +104,9 @@ def test_a_label_without_a_map_has_pictures_where_it_is_asked_for(files: Path, t
     assert {name for name, _ in store.pictures("ray_cast_point_shadow")} == mapless and len(mapless) == 4
     rows = [row for row in store.rows("left_out") if row["what"].startswith("views ")]
     (row,) = (row for row in rows if "no light map" in row["reason"])
-    assert int(row["count"]) == len(KINDS) - 4  # silhouettes, which it does not pull, have a row of their own
+    assert (
+        int(row["count"]) == len(KINDS) - 6
+    )  # silhouettes and wedges, which it does not pull, have a row of their own
 
 
 def test_silhouettes_are_of_those_that_pull_them(files: Path, tmp_path: Path) -> None:
@@ -114,6 +116,13 @@ def test_silhouettes_are_of_those_that_pull_them(files: Path, tmp_path: Path) ->
     assert names == {label: ["silhouettes_eye", "silhouettes_third"] for label in names}
     (row,) = (row for row in store.rows("left_out") if row["what"] == "views silhouettes")
     assert "shadow_map pulls none" in row["reason"] and not list(store.pictures("shadow_map"))
+
+
+def test_wedges_are_of_those_that_have_them(files: Path, tmp_path: Path) -> None:
+    changes = ["techniques=[shadow_volume_zfail, wedge_spherical]", "views.kinds=[wedges, v_buffer]"]
+    store = Store(run(load_experiment(files / "box.yaml", changes), tmp_path / "out", report=False))
+    names = {name for name, _ in store.pictures("wedge_spherical")}
+    assert names == {"wedges_third", "v_buffer_eye"} and not list(store.pictures("shadow_volume_zfail"))
 
 
 def test_kinds_are_named_once(files: Path) -> None:

@@ -227,10 +227,12 @@ def _whole(kind: str, data: dict[str, Any]) -> dict[str, Any]:
 def _with_depth(data: dict[str, Any]) -> dict[str, Any]:
     camera = data["camera"]
     near, far = sorted((camera["near"], camera["far"]))
+    if not near < far:
+        near, far = 1.0, 1e3
     for curve in data["curves"]:
         curve.pop("near", None)
         curve.pop("far", None)
-    return {**data, "camera": {**camera, "near": near, "far": far if far > near else 2.0 * near}}
+    return {**data, "camera": {**camera, "near": near, "far": far}}
 
 
 _LAMP = {"kind": "rectangle", "center": [0, 6, 0], "edge_u": [1, 0, 0], "edge_v": [0, 0, 1]}

@@ -56,6 +56,7 @@ def count_volumes(
     light_ws: np.ndarray,
     rule: VolumeRule = "per_caster",
     slot: Hashable = 0,
+    chosen: np.ndarray | None = None,
 ) -> wp.array:
     """How many faces lie between each pixel's surface and the light, of closed casters those that hide it.
 
@@ -70,6 +71,7 @@ def count_volumes(
             ``per_caster``, z-pass for casters (connected components) of which it is certain that nothing of their
             volumes lies at the near plane.
         slot: Which of several light points this is.
+        chosen: Casters (components) that count, bool (C,); all unless given.
 
     Returns:
         int32 (H, W), valid until the next call; of no meaning where nothing is seen.
@@ -82,6 +84,8 @@ def count_volumes(
         seen = may_be_seen(components, eye, light_ws)
         if not seen.all():
             work.leave_out(Uncounted.BESIDE, count=int((~seen).sum()))
+    if chosen is not None:
+        seen = seen & chosen
     at_eye = seen if rule == "zfail" else seen & may_hold_near_plane(components, eye, light_ws)
     if rule == "zpass" and at_eye.any():
         work.tell(Uncounted.AT_EYE, count=lambda: int(at_eye.sum()))

@@ -173,6 +173,7 @@ class CasterTreeBuilder:
         device: Warp device.
         threads: CPU threads; None for all. The tree does not depend on it.
         cutouts: Where triangles are not there; everywhere they are unless given.
+        order: int32 (triangles,), such that runs of 8^k are compact; ``spatial_order`` unless given.
     """
 
     def __init__(
@@ -183,10 +184,12 @@ class CasterTreeBuilder:
         device: str = "cpu",
         threads: int | None = None,
         cutouts: Cutouts | None = None,
+        order: np.ndarray | None = None,
     ) -> None:
         self._points, self._indices, self._device, self._threads = points_ws, indices, device, threads
         self._triangles = triangles
-        order = spatial_order(points_ws.numpy(), indices.numpy()[: 3 * triangles].reshape(-1, 3))
+        if order is None:
+            order = spatial_order(points_ws.numpy(), indices.numpy()[: 3 * triangles].reshape(-1, 3))
         self._order = wp.array(order, dtype=int, device=device)
         sizes = [-(-self._triangles // 8)] if self._triangles else []
         while sizes and (len(sizes) == 1 or sizes[-1] > 1):

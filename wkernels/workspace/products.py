@@ -25,6 +25,7 @@ class Product(Enum):
     CASTER_EDGES = "caster edges"
     SILHOUETTES = "silhouettes"
     VOLUMES = "volumes"
+    WEDGES = "wedges"
     HISTORY = "history"
 
 
