@@ -13,6 +13,7 @@ from algorithms.projections.schema import Distance, Projection, Scheme, Share, S
 from experiments.config.messages import Loc
 from experiments.config.overrides import apply_overrides
 from experiments.config.source import Source, StrictModel, dump_yaml, load_yaml, validate
+from experiments.scenes.schema import NARROWEST, Positive
 from experiments.schema.published import CURVE_QUANTITIES, check_published
 from experiments.schema.techniques import check_projection
 
@@ -25,9 +26,9 @@ class AnalysisCamera(StrictModel):
         near, far: Depth range, scene units.
     """
 
-    fov_deg: float = Field(gt=0.0, lt=180.0)
-    near: float = Field(gt=0.0)
-    far: float = Field(gt=0.0)
+    fov_deg: float = Field(ge=NARROWEST, lt=180.0)
+    near: Positive
+    far: Positive
 
 
 _PLAIN = Projection()
@@ -50,8 +51,8 @@ class CurveFile(StrictModel):
     lambda_: Share = Field(_PLAIN.lambda_, alias="lambda")
     pseudo_near: Share = _PLAIN.pseudo_near
     pseudo_far: Share = _PLAIN.pseudo_far
-    near: float | None = Field(None, gt=0.0)
-    far: float | None = Field(None, gt=0.0)
+    near: Positive | None = None
+    far: Positive | None = None
     light_angle_deg: float | None = Field(None, ge=0.0, le=180.0)
     published: dict[str, float] | None = None
 
