@@ -211,7 +211,8 @@ def _of_value(annotation: Any, metadata: Sequence[Any], value: Any, loc: tuple) 
     elif origin in (typing.Union, types.UnionType):
         fitting = [part for part in arguments if part is not type(None)]
         if len(fitting) == 1:
-            yield from _of_value(fitting[0], metadata, value, loc)
+            found = _of_value(fitting[0], metadata, value, loc)
+            yield from (one for one in found if one.value is not None or one.loc != loc)  # nothing is right here
     elif origin is typing.Literal or any(isinstance(item, OneOf) for item in metadata):
         yield Breakage(loc, "a name that there is not", "no_such_name")
         yield Breakage(loc, "a list for a name", [1])
