@@ -13,7 +13,7 @@ from experiments.scenes.generators import _shapes
 from experiments.scenes.generators._paris_houses import blocks
 
 NAMES = generators.names()
-OPEN = {"ground", "river", "windows", "terrain", "needles", "floor", "wall", "plane"}
+OPEN = {"ground", "river", "windows", "terrain", "needles", "floor", "wall", "plane", "leaves"}
 
 
 def bounds(meshes) -> np.ndarray:
