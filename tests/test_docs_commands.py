@@ -59,8 +59,9 @@ def check(words: list[str]) -> None:
         targets = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
         assert set(rest) <= set(targets), words
     elif program == "python":
-        module = ROOT / f"{rest[1].replace('.', '/')}.py"
-        assert rest[1] == "pytest" or module.is_file(), words
+        module = ROOT / rest[1].replace(".", "/")
+        runs = module.with_suffix(".py").is_file() or (module / "__main__.py").is_file()
+        assert rest[1] == "pytest" or runs, words
     elif program == "wkernels" and rest[0] != "--help":
         assert rest[0] in COMMANDS, words
         if rest[1:] and "--help" not in rest:  # the name alone speaks of the command

@@ -10,6 +10,7 @@ from algorithms.plugins import load_all
 from experiments.kinds.kind import kind_of_file
 from experiments.kinds.sweep.config import Sweep
 from experiments.kinds.walkthrough.config import load_experiment
+from experiments.scenes.assets import fetched_folder
 from experiments.schema.experiment import Experiment
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -19,10 +20,13 @@ FILES = sorted([*CONFIGS.glob("papers/*.yaml"), *CONFIGS.glob("experiments/*.yam
 @pytest.mark.parametrize("file", FILES, ids=[file.stem for file in FILES])
 def test_experiment_file_loads(file: Path) -> None:
     kind = kind_of_file(file)
+    if "scenes/real/" in file.read_text(encoding="utf-8") and not (fetched_folder() / "sponza").is_dir():
+        pytest.skip("`make scenes` fetches its scenes")
     loaded = kind.load(file, [], load_all())
     assert loaded.name == file.stem and f"kind: {kind.name}" in loaded.to_yaml()
     if isinstance(loaded, Sweep):
-        assert len(loaded.scenes) >= 5 and len(loaded.runs) >= len(load_all())
+        if file.stem == "sweep_all":
+            assert len(loaded.scenes) >= 5 and len(loaded.runs) >= len(load_all())
         for scene in loaded.scenes:
             assert scene.experiment.reference is not None and max(scene.experiment.frames) < 100  # all have so many
     elif isinstance(loaded, Experiment):

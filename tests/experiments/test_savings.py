@@ -23,6 +23,7 @@ from experiments.rendering.engine import WarpEngine
 from experiments.results.failures import TechniquesFailed
 from experiments.results.tables import read_table
 from experiments.schema.experiment import Experiment
+from experiments.schema.needs import unmet_need
 from wkernels.errors import InputError
 from wkernels.frame.session import Session
 from wkernels.scene.geometry import Geometry
@@ -139,7 +140,9 @@ def test_files(tmp_path: Path) -> None:
     assert load_savings(again, [], PLUGINS).to_yaml() == savings.to_yaml()
     assert savings.walk(savings.experiments[0]) == (0, 1, 1)
     everything = load(tmp_path, FILE.replace("techniques:", "# techniques:"))
-    assert [run.name for run in everything.experiments[0].runs] == list(PLUGINS)
+    scene = everything.experiments[0].loaded_scene
+    able_here = [name for name, plugin in PLUGINS.items() if unmet_need(plugin, scene, scene.lights[0]) is None]
+    assert [run.name for run in everything.experiments[0].runs] == able_here and len(able_here) > 0.8 * len(PLUGINS)
     able = load_point(tmp_path, "[shadow_map, pcss]")
     assert [run.label for run in able.experiments[0].runs] == ["shadow_map"]
     assert "area" in able.unmet["point", "pcss"]

@@ -78,7 +78,7 @@ def test_sets_of_casters_where_one_rests_and_another_moves(device: str) -> None:
         assert (tuple(corner) in sets["still"]) == (names[owner[t]] != "other")
     ((begin, end),) = geometry.moving_triangles.numpy()
     assert {names[owner[t]] for t in range(begin, end)} == {"other"}
-    points, indices = geometry.caster_buffers(moving=True)
+    points, indices, _ = geometry.caster_buffers(moving=True)
     moved = points.numpy()[indices.numpy()]
     np.testing.assert_array_equal(moved, geometry.points_ws.numpy()[geometry.caster_sets["moving"].numpy()])
 
