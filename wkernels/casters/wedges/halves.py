@@ -5,10 +5,11 @@ from __future__ import annotations
 import warp as wp
 
 from wkernels.casters.wedges.bodies import WedgeEdges
-from wkernels.casters.wedges.coverage import beyond, clip_to_light, on_light
-from wkernels.casters.wedges.light_shapes import LightShape, see_light, seen
+from wkernels.casters.wedges.coverage import beyond
+from wkernels.casters.wedges.light_shapes import LightShape, see_light
 from wkernels.casters.wedges.near_lists import NearLists
 from wkernels.casters.wedges.passes import Prepared
+from wkernels.casters.wedges.shading import edge_on_light
 from wkernels.raster.binning import tile_at
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.scene.geometry import RECEIVES
@@ -38,11 +39,9 @@ def part_halves(
         sight = see_light(light, gbuffer.position_ws[y, x])
         for i in range(near.lists.begin[tile], near.end[tile]):
             e = near.lists.shape[i]
-            p0 = seen(sight, edges.ends[2 * e])
-            p1 = seen(sight, edges.ends[2 * e + 1])
-            span = clip_to_light(light.shape, sight, p0, p1)
-            if span[0] < span[1]:
-                share = sight.turn * edges.weight[e] * beyond(light.shape, on_light(p0, p1, span))
+            edge = edge_on_light(light, sight, edges, e)
+            if edge.visible != 0:
+                share = sight.turn * edges.weight[e] * beyond(light.shape, edge.ends)
                 added += wp.max(share, 0.0)
                 taken += wp.max(-share, 0.0)
                 inside += 1

@@ -32,6 +32,46 @@ class Faces:
     reach: float  # length of a way that leaves the scene
 
 
+@wp.struct
+class EdgeOnLight:
+    """The part of an edge that a receiver sees before the light."""
+
+    visible: int  # 0: there is none
+    ends: wp.vec4  # on the light (x0, y0, x1, y1), half sizes
+    nearest: float  # w of its nearer end
+
+
+@wp.func
+def edge_on_light(light: LightShape, sight: Sight, edges: WedgeEdges, e: int):
+    """What a receiver sees of an edge before the light."""
+    out = EdgeOnLight()
+    p0 = seen(sight, edges.ends[2 * e])
+    p1 = seen(sight, edges.ends[2 * e + 1])
+    span = clip_to_light(light.shape, sight, p0, p1)
+    if span[0] < span[1]:
+        out.visible = 1
+        out.ends = on_light(p0, p1, span)
+        out.nearest = wp.min(p0[2] + span[0] * (p1[2] - p0[2]), p0[2] + span[1] * (p1[2] - p0[2]))
+    return out
+
+
+@wp.func
+def is_at_centre(edge: EdgeOnLight, blur: float):
+    """1 where an edge passes the light's centre so closely that the hard count may not know on which side."""
+    ends = edge.ends
+    return passes_centre(ends[0], ends[1], ends[2], ends[3], edge.nearest, blur)
+
+
+@wp.func
+def recount(faces: Faces, gbuffer: GBuffer, y: int, x: int, light_ws: wp.vec4d):
+    """``count_hiding_faces`` of a pixel's surface."""
+    own = gbuffer.triangle[y, x]
+    position_ws = gbuffer.position_ws[y, x]
+    return count_hiding_faces(
+        faces.mesh_id, faces.points_ws, faces.indices, faces.turns, own, position_ws, light_ws, faces.reach
+    )
+
+
 @wp.func
 def share_before(light: LightShape, sight: Sight, position_ws: wp.vec3, normal_ws: wp.vec3):
     """Share of the light that lies before a receiver's own plane, which hides the rest if it casts."""
@@ -80,14 +120,10 @@ def shade(
         tile = tile_at(near.lists, y, x)
         for i in range(near.lists.begin[tile], near.end[tile]):
             e = near.lists.shape[i]
-            p0 = seen(sight, edges.ends[2 * e])
-            p1 = seen(sight, edges.ends[2 * e + 1])
-            span = clip_to_light(light.shape, sight, p0, p1)
-            if span[0] < span[1]:
-                ends = on_light(p0, p1, span)
-                total += edges.weight[e] * beyond(light.shape, ends)
-                w = wp.min(p0[2] + span[0] * (p1[2] - p0[2]), p0[2] + span[1] * (p1[2] - p0[2]))
-                untrusted += passes_centre(ends[0], ends[1], ends[2], ends[3], w, blur)
+            edge = edge_on_light(light, sight, edges, e)
+            if edge.visible != 0:
+                total += edges.weight[e] * beyond(light.shape, edge.ends)
+                untrusted += is_at_centre(edge, blur)
         visible = lit_share(light, sight, gbuffer, y, x, 1.0 - float(counts[y, x]) + sight.turn * total)
         if untrusted > 0:
             visible = UNTRUSTED
@@ -114,19 +150,14 @@ def settle(
     at = wp.vec3d(position_ws)
     to_light = wp.vec3d(light_ws[0], light_ws[1], light_ws[2]) - at * light_ws[3]
     sight = see_light(light, position_ws)
-    own = gbuffer.triangle[y, x]
-    count = count_hiding_faces(
-        faces.mesh_id, faces.points_ws, faces.indices, faces.turns, own, position_ws, light_ws, faces.reach
-    )
+    count = recount(faces, gbuffer, y, x, light_ws)
     total = float(0.0)
     tile = tile_at(near.lists, y, x)
     for i in range(near.lists.begin[tile], near.end[tile]):
         e = near.lists.shape[i]
-        p0 = seen(sight, edges.ends[2 * e])
-        p1 = seen(sight, edges.ends[2 * e + 1])
-        span = clip_to_light(light.shape, sight, p0, p1)
-        if span[0] < span[1]:
-            share = wp.abs(beyond(light.shape, on_light(p0, p1, span)))
+        edge = edge_on_light(light, sight, edges, e)
+        if edge.visible != 0:
+            share = wp.abs(beyond(light.shape, edge.ends))
             ends = edges.vertices[e]
             if is_left(faces.points_ws, ends[0], ends[1], at, to_light):
                 total += edges.weight[e] * share

@@ -19,11 +19,11 @@ import numpy as np
 import warp as wp
 
 from wkernels.casters.wedges.bodies import WedgeEdges
-from wkernels.casters.wedges.coverage import beyond, border_at, clip_to_light, on_light
-from wkernels.casters.wedges.light_shapes import DISC, LightShape, see_light, seen
+from wkernels.casters.wedges.coverage import beyond, border_at
+from wkernels.casters.wedges.light_shapes import DISC, LightShape, see_light
 from wkernels.casters.wedges.near_lists import NearLists
-from wkernels.casters.wedges.recounting import blur_of, passes_centre
-from wkernels.casters.wedges.shading import UNTRUSTED, lit_share
+from wkernels.casters.wedges.recounting import blur_of
+from wkernels.casters.wedges.shading import UNTRUSTED, edge_on_light, is_at_centre, lit_share
 from wkernels.raster.binning import tile_at
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.scene.geometry import RECEIVES
@@ -189,14 +189,10 @@ def shade_stored(
         tile = tile_at(near.lists, y, x)
         for i in range(near.lists.begin[tile], near.end[tile]):
             e = near.lists.shape[i]
-            p0 = seen(sight, edges.ends[2 * e])
-            p1 = seen(sight, edges.ends[2 * e + 1])
-            span = clip_to_light(light.shape, sight, p0, p1)
-            if span[0] < span[1]:
-                ends = on_light(p0, p1, span)
-                share = sight.turn * stored_share(storage, light.shape, ends)
-                w = wp.min(p0[2] + span[0] * (p1[2] - p0[2]), p0[2] + span[1] * (p1[2] - p0[2]))
-                untrusted += passes_centre(ends[0], ends[1], ends[2], ends[3], w, blur)
+            edge = edge_on_light(light, sight, edges, e)
+            if edge.visible != 0:
+                share = sight.turn * stored_share(storage, light.shape, edge.ends)
+                untrusted += is_at_centre(edge, blur)
                 if storage.buffer == F32:
                     total += edges.weight[e] * share
                 else:

@@ -14,11 +14,11 @@ import numpy as np
 import warp as wp
 
 from wkernels.casters.wedges.bodies import WedgeEdges
-from wkernels.casters.wedges.coverage import border_at, clip_to_light, on_light
-from wkernels.casters.wedges.light_shapes import LightShape, see_light, seen
+from wkernels.casters.wedges.coverage import border_at
+from wkernels.casters.wedges.light_shapes import LightShape, see_light
 from wkernels.casters.wedges.near_lists import NearLists
-from wkernels.casters.wedges.recounting import blur_of, count_hiding_faces, is_left, passes_centre
-from wkernels.casters.wedges.shading import Faces, lit_share
+from wkernels.casters.wedges.recounting import blur_of, is_left
+from wkernels.casters.wedges.shading import Faces, edge_on_light, is_at_centre, lit_share, recount
 from wkernels.raster.binning import tile_at
 from wkernels.raster.gbuffer import GBuffer
 from wkernels.scene.geometry import RECEIVES
@@ -193,14 +193,10 @@ def shade_textured(
         total = float(0.0)
         for i in range(near.lists.begin[tile], near.end[tile]):
             e = near.lists.shape[i]
-            p0 = seen(sight, edges.ends[2 * e])
-            p1 = seen(sight, edges.ends[2 * e + 1])
-            span = clip_to_light(light.shape, sight, p0, p1)
-            if span[0] < span[1]:
-                ends = on_light(p0, p1, span)
-                w = wp.min(p0[2] + span[0] * (p1[2] - p0[2]), p0[2] + span[1] * (p1[2] - p0[2]))
-                share = sight.turn * textured_share(texture, ends)
-                if passes_centre(ends[0], ends[1], ends[2], ends[3], w, blur) > 0:
+            edge = edge_on_light(light, sight, edges, e)
+            if edge.visible != 0:
+                share = sight.turn * textured_share(texture, edge.ends)
+                if is_at_centre(edge, blur) > 0:
                     untrusted += 1
                     both = edges.vertices[e]
                     left = is_left(faces.points_ws, both[0], both[1], at, to_light)
@@ -211,10 +207,7 @@ def shade_textured(
                 total += edges.weight[e] * share
         count = counts[y, x]
         if untrusted > 0:
-            own = gbuffer.triangle[y, x]
-            count = count_hiding_faces(
-                faces.mesh_id, faces.points_ws, faces.indices, faces.turns, own, position_ws, light_ws, faces.reach
-            )
+            count = recount(faces, gbuffer, y, x, light_ws)
         visible = lit_share(light, sight, gbuffer, y, x, 1.0 - float(count) + total)
     visibility_out[y, x] = visible
 
