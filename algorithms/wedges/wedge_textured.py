@@ -22,6 +22,7 @@ from algorithms.technique import Needs, setting
 from algorithms.wedges._wedges import WedgeParams, WedgeTechnique, see_parts
 from wkernels.casters.wedges.passes import Prepared, Stage, see_by_wedges, see_textured
 from wkernels.casters.wedges.textures import LightTexture, light_texture
+from wkernels.frame.light_side import LIGHT_TEXTURE
 from wkernels.scene.lights import Light, RectangleLight
 from wkernels.workspace.workspace import Workspace
 
@@ -43,7 +44,7 @@ class WedgeTextured(WedgeTechnique):
 
     def see(self, stage: Stage, light: Light, visibility_out: wp.array) -> None:
         texels = light.texture if isinstance(light, RectangleLight) else None
-        constant = texels is None or bool((np.asarray(texels) == np.asarray(texels).flat[0]).all())
+        constant = texels is None or np.ptp(texels) == 0.0
 
         def see(prepared: Prepared, part: Light, out: wp.array) -> None:
             if constant:
@@ -57,7 +58,5 @@ class WedgeTextured(WedgeTechnique):
 
 def _pull_texture(work: Workspace, values: np.ndarray, stored: bool) -> LightTexture:
     key = (values.shape, values.tobytes(), stored)
-    out: LightTexture = work.product(
-        "light texture", "light texture", key, lambda old: light_texture(work, values, stored)
-    )
+    out: LightTexture = work.product(LIGHT_TEXTURE, LIGHT_TEXTURE, key, lambda old: light_texture(work, values, stored))
     return out

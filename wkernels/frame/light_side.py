@@ -42,6 +42,8 @@ It may have three attributes: ``near``, the ``NearPlane`` rule of the eye view t
 """
 
 
+LIGHT_TEXTURE = "light texture"
+"""Name of the product by which a technique reads it, besides the weights of ``light_samples``."""
 FARTHEST_CASTER = 64.0
 """Distance of a caster from what is around the eye, in sizes of that, up to which one map holds the depths of both:
 the comparison's allowance for rounding is 2e-6 of it (``light_map``)."""
@@ -142,6 +144,12 @@ class LightSide(EyeSide):
     def light(self) -> Light:
         """The light that is asked for, at this frame, rebased world."""
         return self.lights.current
+
+    @property
+    def has_texture(self) -> bool:
+        """Whether parts of the light that is asked for shine more than others."""
+        texture = getattr(self.light, "texture", None)
+        return texture is not None and bool(np.ptp(texture) > 0.0)
 
     def light_hull(self) -> LightHull:
         """The light's hull for proofs, and how far a ray must reach to leave the scene."""

@@ -25,6 +25,12 @@ class TurnedAway(Omission):
     PIXELS = "comparisons of pixels with the light depth map", "their surface is turned away from the light"
 
 
+class Unread(Omission):
+    """What of a light a method does not look at."""
+
+    TEXTURE = "texture of the light", "nothing asks for it: all parts of the light count alike"
+
+
 @dataclass
 class FrameResult:
     """What one rendered frame leaves behind.

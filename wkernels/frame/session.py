@@ -14,12 +14,13 @@ import warp as wp
 
 from wkernels.device.launch import wake_workers
 from wkernels.frame.history import History
-from wkernels.frame.light_side import LightSide, LightViews
+from wkernels.frame.light_side import LIGHT_TEXTURE, LightSide, LightViews
 from wkernels.frame.result import (
     SHADING,
     FrameResult,
     Rendered,
     TurnedAway,
+    Unread,
     check_image,
     count_turned_away,
     read_back,
@@ -111,6 +112,8 @@ class Session(LightSide):
         for omission in Unasked:
             if omission.product not in self.pulled:
                 self.tell(omission)
+        if self.has_texture and self._products.asked.isdisjoint((Product.LIGHT_SAMPLES.value, LIGHT_TEXTURE)):
+            self.tell(Unread.TEXTURE)
         read = self.shown
         if isinstance(read, HostMap):
             self.tell(TurnedAway.PIXELS, count=lambda: count_turned_away(gbuffer, read))
