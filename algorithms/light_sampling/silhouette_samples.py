@@ -38,6 +38,7 @@ class Skip(Omission):
 
     RAYS_ALIKE = "rays to the light from each pixel", Because.NO_AREA
     EDGES = "silhouette edges", "a texture cuts a caster out, and every sample gets its ray"
+    UNSURE = "silhouette edges of receivers", "rays disagree with them, or they cannot be projected"
 
 
 class SilhouetteSamples(Technique):
@@ -54,7 +55,7 @@ class SilhouetteSamples(Technique):
         Product.RAY_STRUCTURE,
     )
     bias_sign = "none"
-    may_leave_out = (Skip.RAYS_ALIKE, Skip.EDGES)
+    may_leave_out = (Skip.RAYS_ALIKE, Skip.EDGES, Skip.UNSURE)
     limits = (
         Limit(equals="ray_cast_point_shadow", params={"samples": 4}, light_scale=0.0),
         Limit(
@@ -87,14 +88,16 @@ class SilhouetteSamples(Technique):
         alike = count > 1 and not has_area and frame.leave_out(Skip.RAYS_ALIKE, count=count - 1)
         samples = frame.light_samples(1 if alike else count, self.params.sample_set)
         hull, shape = frame.light_hull(), visibility.shape
-        cut = any(mesh.casts and mesh.mask is not None for mesh in frame.geometry.meshes)
+        cut = frame.geometry.scene.cut_caster is not None
         if cut:
             frame.tell(Skip.EDGES)
         if has_area and not cut and frame.geometry.caster_triangles and uses_lanes(frame.device):
             tree, casters = frame.caster_tree(), frame.caster_mesh()
             known = pull_edge_set(frame, frame.geometry, frame.light, tree)
             with frame.timed("silhouettes"):
-                trace_silhouettes(frame, gbuffer, known, tree, casters, samples, frame.light, hull, visibility)
+                given = known, tree, casters, samples, frame.light, hull
+                by_rays = trace_silhouettes(frame, gbuffer, *given, visibility)
+            frame.tell(Skip.UNSURE, count=lambda: by_rays)
         else:
             proof = frame.buffer("proof", shape, wp.int32)
             if uses_lanes(frame.device):

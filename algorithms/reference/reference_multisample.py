@@ -80,7 +80,7 @@ class ReferenceMultisample(Technique):
         grid: tuple[int, ...] = visibility.shape
         if not uses_lanes(frame.device):
             kernel, inputs = trace_light, [gbuffer, frame.caster_mesh(), samples.points_ws, samples.weights, *rest]
-        elif len(samples.host) <= MOST_SAMPLES and frame.geometry.cutouts.count == 0:
+        elif len(samples.host) <= MOST_SAMPLES and frame.geometry.scene.cut_caster is None:
             kernel, inputs = trace_few, [gbuffer, frame.caster_tree(), samples.few, *rest]
             grid = runs_of_image(visibility.shape)
         else:

@@ -38,10 +38,8 @@ def unmet_need(technique: Any, scene: Scene, light: Light) -> str | None:
         opened = next((mesh.name for mesh in scene.meshes if mesh.casts and not is_closed(mesh)), None)
         if opened is not None:
             return f"'{name}' needs closed casters; the mesh '{opened}' is open (casts: false takes it out)."
-    if needs.whole_casters:
-        cut = next((mesh.name for mesh in scene.meshes if mesh.casts and mesh.mask is not None), None)
-        if cut is not None:
-            return f"'{name}' needs whole casters; '{cut}' is cut out by a texture (casts: false takes it out)."
+    if needs.whole_casters and (cut := scene.cut_caster) is not None:
+        return f"'{name}' needs whole casters; '{cut.name}' is cut out by a texture (casts: false takes it out)."
     if needs.planar_receiver and not any(mesh.receives and is_planar(mesh) for mesh in scene.meshes):
         return f"'{name}' needs a planar receiver; no receiving mesh of the scene is flat."
     if needs.still_light and light.motion is not None:

@@ -180,6 +180,15 @@ broken(
         np.where(np.abs(position(frame)[..., [0, 2]]).max(axis=-1) < 1.2, 0.0, v) if frame.geometry.cutouts.count else v
     ),
 )
+broken(
+    "a_cut_out_receiver_shows_what_is_left_of_it",
+    "shows shadows on whole cards",
+    lambda v, frame: (
+        np.where(np.abs(position(frame)[..., [0, 2]]).max(axis=-1) < 1.0, 0.5 * v, v)
+        if frame.geometry.cutouts.count
+        else v
+    ),
+)
 broken("equals_others_in_its_limits", "is not what it claims", limits=(Limit(equals="ray_cast_point_shadow"),))
 broken("equals_others_in_its_limits", "a shifted image", shift_one_pixel)
 broken("bias_sign_is_as_declared", "darker", lambda v, frame: v**1.5)

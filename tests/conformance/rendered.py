@@ -192,18 +192,23 @@ def every_light_kind_casts_its_shadow(technique: type[Technique], device: str) -
             assert np.corrcoef(visibility[np.isfinite(expected)], expected[np.isfinite(expected)])[0, 1] > 0.8, kind
 
 
-def checkered_card(light: Light, cut_by_texture: bool) -> Scene:
-    """Half of a card above the ground, two of four squares: cut out by a texture, or as two squares."""
-    ground = small_scenes.mesh("ground", small_scenes.plane(12.0), casts=False)
+def checkered_card(light: Light, cut_by_texture: bool, casts: bool = True) -> Scene:
+    """Half of a card above the ground, two of four squares: cut out by a texture, or as two squares.
+
+    One that does not cast lies below a box that does.
+    """
+    others = [small_scenes.mesh("ground", small_scenes.plane(12.0), casts=False)]
+    if not casts:
+        others.append(small_scenes.mesh("box", small_scenes.box((0.4, 3.5, -0.3), (1.4, 0.5, 1.0)), receives=False))
     vertices, faces = small_scenes.plane(3.0, y=2.0, cells=2)
     if not cut_by_texture:
         kept = np.isin(np.arange(len(faces)) % 4, (0, 3))  # of the grid's squares, row by row, twice
         used = np.unique(faces[kept])
-        card = small_scenes.mesh("card", (vertices[used], np.searchsorted(used, faces[kept]).astype(np.int32)))
-        return small_scenes.scene([ground, card], light)
+        squares = vertices[used], np.searchsorted(used, faces[kept]).astype(np.int32)
+        return small_scenes.scene([*others, small_scenes.mesh("card", squares, casts=casts)], light)
     whole = small_scenes.plane(3.0, y=2.0)
     mask = Mask(whole[0][:, [0, 2]] / 3.0 + 0.5, np.eye(2), 0.5, ("clamp", "clamp"), nearest=True)
-    return small_scenes.scene([ground, small_scenes.mesh("card", whole, mask=mask)], light)
+    return small_scenes.scene([*others, small_scenes.mesh("card", whole, mask=mask, casts=casts)], light)
 
 
 @check()
@@ -213,6 +218,16 @@ def a_cut_out_caster_shades_by_what_is_left_of_it(technique: type[Technique], de
     if technique.needs.whole_casters or technique.needs.closed_meshes:
         assert unmet_need(technique, cut, cut.lights[0]) is not None, "is not refused beforehand"
         return
+    assert_same_card(technique, cut, squares, device)
+
+
+@check()
+def a_cut_out_receiver_shows_what_is_left_of_it(technique: type[Technique], device: str) -> None:
+    """One that does not cast, so that techniques that need whole casters take it, too."""
+    assert_same_card(technique, *(checkered_card(lamp(technique), cut, casts=False) for cut in (True, False)), device)
+
+
+def assert_same_card(technique: type[Technique], cut: Scene, squares: Scene, device: str) -> None:
     frames = frames_of(technique)
     a, b = (render(technique, scene, device, size=(96, 72), frames=frames).visibility for scene in (cut, squares))
     differs = ~np.isclose(a, b, atol=2e-3, equal_nan=True)

@@ -72,14 +72,12 @@ def trace_edges(
     total_weight: float,
     visibility_out: wp.array2d(dtype=float),
     way_out: wp.array2d(dtype=int),
-    edges_out: wp.array2d(dtype=int),
 ):
-    """Weighted share of the light samples that a receiver sees, whether it needs all rays, and the edges it met."""
+    """Weighted share of the light samples that a receiver sees, and whether it needs all rays."""
     row, column = wp.tid()
     y = first_row + first + row
     flags = gbuffer.flags[y, column]
     way_out[y, column] = BY_EDGES
-    edges_out[y, column] = 0
     if (flags & RECEIVES) == 0:
         visibility_out[y, column] = 1.0
         return
@@ -277,5 +275,4 @@ def trace_edges(
         if not hidden:
             for s in range(SAMPLES):
                 seen += wp.where(counts[s] == least, held[s], 0.0)
-    edges_out[y, column] = edges
     visibility_out[y, column] = seen / wp.max(total_weight, 1.0e-30)

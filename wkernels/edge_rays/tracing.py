@@ -84,7 +84,6 @@ def trace_silhouettes(
     if known.too_many:
         way.fill_(int(BY_RAYS))
     else:
-        met = work.buffer("edges met", (height, width), wp.int32)
         plane = light_plane(light, work.device)
         # in the kernel's order and precision, so that "all seen" is exactly 1
         total = float(np.add.accumulate(samples.batches.weight.numpy().ravel())[-1])
@@ -104,7 +103,7 @@ def trace_silhouettes(
             work.launch(list_edges, tiles, inputs, [lists.count, lists.block])
             inputs = [gbuffer, first * size, lists, plane, hull, samples.batches, known.piercing_ws, casters, total]
             rows = min(last * size, height) - first * size
-            work.launch(trace_edges, (rows, width), inputs, [visibility_out, way, met])
+            work.launch(trace_edges, (rows, width), inputs, [visibility_out, way])
     needs_rays = (way.numpy() == int(BY_RAYS)) & ((gbuffer.flags.numpy() & int(RECEIVES)) != 0)
     by_rays = int(np.count_nonzero(needs_rays))
     if by_rays:

@@ -25,7 +25,8 @@ def pull_surfaces(work: Workspace, rasteriser: Rasteriser, geometry: Geometry, l
     def build(old: wp.array | None) -> wp.array:
         out = old if old is not None and old.size == layout.texels else allocate(layout, float, work.device)
         for view, image in zip(light_map.views, layer_images(out, layout), strict=True):
-            rasteriser.draw(geometry.points_ws, geometry.indices, view.to_device(), image)
+            points, cutouts = geometry.points_ws, geometry.cutouts
+            rasteriser.draw(points, geometry.indices, view.to_device(), image, cutouts=cutouts)
         return out
 
     inputs = (light_map.map, geometry.version)

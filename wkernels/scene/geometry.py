@@ -307,8 +307,8 @@ class Geometry:
         Args:
             what: Who asks, as the sentence's subject, such as ``silhouettes``.
         """
-        if (cut := next((mesh.name for mesh in self.meshes if mesh.casts and mesh.mask is not None), None)) is not None:
-            raise InputError(f"{what} need whole casters; the mesh '{cut}' is cut out by a texture.")
+        if (cut := self.scene.cut_caster) is not None:
+            raise InputError(f"{what} need whole casters; the mesh '{cut.name}' is cut out by a texture.")
 
     def _update_normals(self) -> None:
         launch(

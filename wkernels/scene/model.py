@@ -91,6 +91,11 @@ class Scene:
     content_hash: str = ""
     notes: tuple[str, ...] = ()
 
+    @property
+    def cut_caster(self) -> Mesh | None:
+        """The first mesh that casts and is cut out by a texture, so that its triangles do not say where it is."""
+        return next((mesh for mesh in self.meshes if mesh.casts and mesh.mask is not None), None)
+
     def light(self, index: int, frame: int) -> Light:
         """A light where it is at a frame."""
         return light_at(self.lights[index], frame)
