@@ -17,9 +17,11 @@ from experiments.config.messages import problems
 from wkernels.errors import InputError
 
 TEXTS = frozenset(
-    ("technique", "label", "scene", "pass", "what", "reason", "error", "over")
-    + ("on_front", "dominated_by", "place", "budget_label", "target_label", "error_to_reference")
-    + ("case", "level", "status", "detail")
+    [
+        *("technique", "label", "scene", "pass", "what", "reason", "error", "over"),
+        *("on_front", "dominated_by", "place", "budget_label", "target_label", "error_to_reference"),
+        *("case", "level", "status", "detail"),
+    ]
 )
 """Columns that hold words."""
 WHOLE = frozenset({"frame", "step", "repeat", "count"})
