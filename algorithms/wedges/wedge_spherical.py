@@ -19,8 +19,9 @@ to a hard volume's side are counted again by the wedges' own edges (``casters.we
 shows no more of the light than lies before its own plane. Edges are clipped at the light too, so that it may be within
 the casters' box. Casters need not be closed, as for ``shadow_volume_zpass``.
 Known artefacts: casters that overlap on the light, and parts of one that is not convex, take the same part away twice,
-too dark (``overlap: probabilistic`` halves it between casters); silhouettes are those of the centre, so that a caster that shows other sides to other points of the light
-has a penumbra too narrow or too wide; spheres count as discs, 0.5 % too small at ten radii and 6 % at three.
+too dark (``overlap: probabilistic`` halves it between casters); silhouettes are those of the centre, so that a caster
+that shows other sides to other points of the light has a penumbra too narrow or too wide; spheres count as discs, 0.5 %
+too small at ten radii and 6 % at three.
 """
 
 from __future__ import annotations
