@@ -9,8 +9,8 @@ centre is half the way between them along the border. No arc tangent is needed.
 the light into n x n, each with silhouettes of its own, and takes the mean of what they show.
 
 Deviations: as ``wedge_spherical``.
-Known artefacts: as there. A light that is cut finely enough has neither of the last two;
-its cost grows with n x n, though less, as its wedges become thin.
+Known artefacts: as there but for the disc. Both errors fall with every further cut; the cost grows with n x n, though
+less, as wedges become thin.
 """
 
 from __future__ import annotations
