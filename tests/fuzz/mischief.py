@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from isolation import Fault
-from pool import Target
+from trying import Target
 
 from wkernels.errors import InputError
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 from experiment_files import FEW, BrokenExperiments, MadeWrong, RightExperiments
 from mesh_files import ImportedFiles, MeshFiles
-from pool import Target
 from result_folders import ResultFolders
+from trying import Target
 
 SHARES = {"mesh": 30.0, "import": 20.0, "broken": 20.0, "config": 20.0, "experiment": 8.0, "results": 2.0}
 

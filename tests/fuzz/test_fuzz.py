@@ -18,12 +18,13 @@ from experiment_strategies import FILES, experiments
 from mesh_seeds import seeds
 from model_strategies import broken, examples
 from pydantic import BaseModel, ValidationError
+from trying import Job, Limits
 
 SEED = 20_260
 COUNTS = {"mesh": 250, "import": 100, "broken": 150, "config": 100}
 
 
-def fuzzed(make: Any, jobs: list[pool.Job], out: Path, **options: Any) -> pool.Tally:
+def fuzzed(make: Any, jobs: list[Job], out: Path, **options: Any) -> pool.Tally:
     return pool.run(make, jobs, out, caches=run_fuzz.caches_below(out), **options)
 
 
@@ -33,7 +34,7 @@ def shown(tally: pool.Tally) -> str:
 
 def test_nothing_that_is_wrong_does_harm(tmp_path: Path) -> None:
     jobs = [
-        pool.Job(name, SEED + begin // pool.BATCH, 0, pool.BATCH)
+        Job(name, SEED + begin // pool.BATCH, 0, pool.BATCH)
         for name, count in COUNTS.items()
         for begin in range(0, count, pool.BATCH)
     ]
@@ -47,7 +48,7 @@ def test_nothing_that_is_wrong_does_harm(tmp_path: Path) -> None:
 
 
 def test_what_models_accept_runs(tmp_path: Path) -> None:
-    tally = fuzzed(targets.few, [pool.Job("experiment", SEED + i, 0, 16) for i in range(3)], tmp_path)
+    tally = fuzzed(targets.few, [Job("experiment", SEED + i, 0, 16) for i in range(3)], tmp_path)
     assert not tally.findings, shown(tally)
     outcomes = tally.outcomes["experiment"]
     ran = {outcome.removesuffix(" run") for outcome in outcomes if outcome.endswith(" run")}
@@ -56,8 +57,8 @@ def test_what_models_accept_runs(tmp_path: Path) -> None:
 
 
 def test_harm_is_named_and_kept(tmp_path: Path) -> None:
-    limits = pool.Limits(seconds=0.5, idle=0.5)
-    tally = fuzzed(mischief.targets, [pool.Job("mischief", 3, 0, len(mischief.DEEDS))], tmp_path, limits=limits)
+    limits = Limits(seconds=0.5, idle=0.5)
+    tally = fuzzed(mischief.targets, [Job("mischief", 3, 0, len(mischief.DEEDS))], tmp_path, limits=limits)
     kinds = {mischief.DEEDS[finding.index]: finding.kind for finding in tally.findings}
     assert kinds == {
         "raises": "KeyError",
