@@ -32,6 +32,16 @@ class InputError(Exception):
         return f"{place}{key}{self.message}"
 
 
+def one_line(error: object) -> str:
+    """The message of a foreign error or library, short and without line breaks; of an empty one the error's type."""
+    try:
+        text = str(error)
+    except UnicodeError:  # USD's quote the file, in whatever encoding it is
+        text = ""
+    nameless = type(error).__name__ if isinstance(error, BaseException) else ""
+    return " ".join(text.split())[:200].rstrip(".") or nameless
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Returns `` Did you mean 'x'?`` or a list of the valid names, to be appended to a message about ``name``."""
     known = sorted(set(known))

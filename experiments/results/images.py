@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.results.tables import replace_file
-from wkernels.errors import InputError
+from wkernels.errors import InputError, one_line
 
 NO_RECEIVER = (74, 80, 96)  # slate in views: a pixel without a receiver is neither lit nor dark
 ERROR_SCALE = "colour = sign(error) x sqrt(|error|), from -1 (darker than the reference) to +1 (lighter)"
@@ -148,9 +148,9 @@ def _read(path: Path, kind: str) -> np.ndarray:
 
     image = oiio.ImageInput.open(str(path))
     if image is None:
-        raise InputError(f"cannot read the image ({oiio.geterror()}).", file=path)
+        raise InputError(f"cannot read the image ({one_line(oiio.geterror()) or 'no reason given'}).", file=path)
     pixels = image.read_image(kind)
     image.close()
     if pixels is None:
-        raise InputError(f"cannot read the image ({image.geterror()}).", file=path)
+        raise InputError(f"cannot read the image ({one_line(image.geterror()) or 'no reason given'}).", file=path)
     return np.asarray(pixels)

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from experiments.scenes import schema
-from experiments.scenes.meshes.reading import MeshError, one_line
+from experiments.scenes.meshes.reading import MeshError
 from experiments.scenes.place import Place
 from experiments.scenes.primitives import Triangles
+from wkernels.errors import one_line
 from wkernels.scene.cutouts import Mask
 
 LARGEST_TEXTURE = 16384
@@ -36,7 +37,7 @@ def image_channel(path: Path, channel: str = "alpha") -> np.ndarray:
     image = oiio.ImageBuf(str(path), 0, 0, options)
     spec = image.spec()
     if image.has_error or not (0 < spec.width <= LARGEST_TEXTURE and 0 < spec.height <= LARGEST_TEXTURE):
-        why = one_line(Exception(image.geterror())) or f"{spec.width} x {spec.height} texels"
+        why = one_line(image.geterror()) or f"{spec.width} x {spec.height} texels"
         raise MeshError(f"the texture '{path.name}' cannot be read: {why}.")
     colors = [i for i in range(spec.nchannels) if i != spec.alpha_channel]
     if channel == "alpha":

@@ -181,6 +181,22 @@ def test_unreadable_images_name_the_file(tmp_path: Path) -> None:
             read_exr(tmp_path / name)
 
 
+@pytest.mark.parametrize(("name", "at", "byte"), [("v.png", 33, 33), ("v.exr", 9, 0)])
+def test_damaged_images_are_refused_in_one_line(tmp_path: Path, name: str, at: int, byte: int) -> None:
+    """The library's own words have several lines, and gather those of earlier files."""
+    path = tmp_path / name
+    if name.endswith("png"):
+        write_png(path, np.random.default_rng(1).integers(0, 255, (16, 16, 3), np.uint8))
+    else:
+        write_exr(path, np.ones((16, 16), np.float32), "a note")
+    sound = path.read_bytes()
+    path.write_bytes(sound[:at] + bytes([byte]) + sound[at + 1 :])
+    for _ in range(2):
+        with pytest.raises(InputError, match="cannot read the image") as caught:
+            read_png(path) if name.endswith("png") else read_exr(path)
+        assert "\n" not in str(caught.value)
+
+
 def test_views_for_people() -> None:
     visibility = np.array([[0.0, 0.5, 1.0, np.nan]], np.float32)
     grey = visibility_view(visibility)

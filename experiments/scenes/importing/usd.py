@@ -27,9 +27,10 @@ from experiments.scenes.importing.description import (
 from experiments.scenes.importing.usd_lights import usd_light
 from experiments.scenes.importing.usd_masks import masked_triangles
 from experiments.scenes.meshes.axes import TO_Y_UP
-from experiments.scenes.meshes.reading import MeshError, one_line
+from experiments.scenes.meshes.reading import MeshError
 from experiments.scenes.meshes.usd import NOT_UTF8, drawn_prims, open_stage
 from experiments.scenes.meshes.usd_prims import prim_triangles
+from wkernels.errors import one_line
 
 Key = tuple[str, int]  # path of a prim, and which of its copies in point instancers
 

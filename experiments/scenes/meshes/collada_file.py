@@ -12,8 +12,9 @@ import numpy as np
 
 from experiments.scenes.meshes.axes import TO_Y_UP
 from experiments.scenes.meshes.polygons import triangulate, triangulate_loops
-from experiments.scenes.meshes.reading import MeshError, Parts, Tell, check_indices, one_line
+from experiments.scenes.meshes.reading import MeshError, Parts, Tell, check_indices
 from experiments.scenes.primitives import Triangles
+from wkernels.errors import one_line
 
 _WITHOUT_GEOMETRY = ("image", "texture", "sampler", "surface", "material", "effect", "camera", "light", "animation")
 """Words of errors that leave the geometry whole."""

@@ -12,7 +12,8 @@ from urllib.parse import unquote, urlparse
 import numpy as np
 
 from experiments.scenes.meshes import gltf_meshopt
-from experiments.scenes.meshes.reading import MeshError, one_line
+from experiments.scenes.meshes.reading import MeshError
+from wkernels.errors import one_line
 
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}

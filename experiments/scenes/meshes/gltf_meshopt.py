@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.scenes.meshes.reading import MeshError, one_line
+from experiments.scenes.meshes.reading import MeshError
+from wkernels.errors import one_line
 
 NAMES = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 _MODES = ("ATTRIBUTES", "TRIANGLES", "INDICES")

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from experiments.scenes.meshes.gltf_document import Document
-from experiments.scenes.meshes.reading import MeshError, Tell, check_indices, one_line
+from experiments.scenes.meshes.reading import MeshError, Tell, check_indices
 from experiments.scenes.meshes.strips import fan_to_triangles, strips_to_triangles
+from wkernels.errors import one_line
 
 DRACO = "KHR_draco_mesh_compression"
 _POINTS_AND_LINES = (0, 1, 2, 3)

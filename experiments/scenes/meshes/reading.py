@@ -133,12 +133,3 @@ def check_indices(
 def shown(word: bytes) -> str:
     """A word from a file, short and printable, in quotes."""
     return repr(word[:40].decode("latin-1"))
-
-
-def one_line(error: object) -> str:
-    """The message of a foreign error, short and without line breaks."""
-    try:
-        text = str(error)
-    except UnicodeError:  # USD's quote the file, in whatever encoding it is
-        text = ""
-    return " ".join(text.split())[:200].rstrip(".") or type(error).__name__

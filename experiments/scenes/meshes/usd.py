@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from experiments.scenes.meshes.axes import TO_Y_UP
-from experiments.scenes.meshes.reading import MeshError, Parts, Tell, check_indices, one_line, plain_bytes
+from experiments.scenes.meshes.reading import MeshError, Parts, Tell, check_indices, plain_bytes
 from experiments.scenes.meshes.usd_binary import check_binary
 from experiments.scenes.meshes.usd_prims import attribute_values, prim_triangles
 from experiments.scenes.primitives import Triangles
+from wkernels.errors import one_line
 
 NOT_UTF8 = "cannot be read: it has a name or a word that is not UTF-8 text."
 """Of files that Python cannot be told of by USD."""
