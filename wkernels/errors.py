@@ -32,13 +32,17 @@ class InputError(Exception):
         return f"{place}{key}{self.message}"
 
 
-def one_line(error: object) -> str:
-    """The message of a foreign error or library, short and without line breaks; of an empty one the error's type."""
+def one_line(said: object) -> str:
+    """What another library says, short and without line breaks.
+
+    Args:
+        said: Its exception, whose type is told where it has no words; or a function that asks for its words.
+    """
     try:
-        text = str(error)
-    except UnicodeError:  # USD's quote the file, in whatever encoding it is
+        text = said() if callable(said) else str(said)
+    except UnicodeError:  # they quote the file, in whatever encoding it is
         text = ""
-    nameless = type(error).__name__ if isinstance(error, BaseException) else ""
+    nameless = type(said).__name__ if isinstance(said, BaseException) else ""
     return " ".join(text.split())[:200].rstrip(".") or nameless
 
 

@@ -148,9 +148,9 @@ def _read(path: Path, kind: str) -> np.ndarray:
 
     image = oiio.ImageInput.open(str(path))
     if image is None:
-        raise InputError(f"cannot read the image ({one_line(oiio.geterror()) or 'no reason given'}).", file=path)
+        raise InputError(f"cannot read the image ({one_line(oiio.geterror) or 'no reason given'}).", file=path)
     pixels = image.read_image(kind)
     image.close()
     if pixels is None:
-        raise InputError(f"cannot read the image ({one_line(image.geterror()) or 'no reason given'}).", file=path)
+        raise InputError(f"cannot read the image ({one_line(image.geterror) or 'no reason given'}).", file=path)
     return np.asarray(pixels)

@@ -104,7 +104,7 @@ def read_luminance(name: str, place: Place) -> np.ndarray:
     image = oiio.ImageBuf(str(path))
     pixels = image.get_pixels(oiio.FLOAT)
     if image.has_error or pixels is None:
-        raise place.error(f"'{path}' cannot be read as an image: {one_line(image.geterror())}.")
+        raise place.error(f"'{path}' cannot be read as an image: {one_line(image.geterror) or 'no reason given'}.")
     values = np.asarray(pixels, np.float64).reshape(image.spec().height, image.spec().width, -1)
     if image.spec().format == oiio.UINT8:
         values = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1

@@ -37,7 +37,7 @@ def image_channel(path: Path, channel: str = "alpha") -> np.ndarray:
     image = oiio.ImageBuf(str(path), 0, 0, options)
     spec = image.spec()
     if image.has_error or not (0 < spec.width <= LARGEST_TEXTURE and 0 < spec.height <= LARGEST_TEXTURE):
-        why = one_line(image.geterror()) or f"{spec.width} x {spec.height} texels"
+        why = one_line(image.geterror) or f"{spec.width} x {spec.height} texels"
         raise MeshError(f"the texture '{path.name}' cannot be read: {why}.")
     colors = [i for i in range(spec.nchannels) if i != spec.alpha_channel]
     if channel == "alpha":

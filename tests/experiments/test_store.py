@@ -181,7 +181,7 @@ def test_unreadable_images_name_the_file(tmp_path: Path) -> None:
             read_exr(tmp_path / name)
 
 
-@pytest.mark.parametrize(("name", "at", "byte"), [("v.png", 33, 33), ("v.exr", 9, 0)])
+@pytest.mark.parametrize(("name", "at", "byte"), [("v.png", 33, 33), ("v.exr", 9, 0), ("v.exr", 15, 200)])
 def test_damaged_images_are_refused_in_one_line(tmp_path: Path, name: str, at: int, byte: int) -> None:
     """The library's own words have several lines, and gather those of earlier files."""
     path = tmp_path / name
